@@ -125,7 +125,8 @@ def _typed(plain: Mapping[str, Any], kind: type[T], origin: str) -> T:
     try:
         return msgspec.convert(plain, kind, dec_hook=_existing_file)
     except msgspec.ValidationError as refusal:
-        expected, _, place = str(refusal).partition(" - at `$")
+        text, _, place = str(refusal).partition(" - at `$")
+        expected = text.replace("Expected `str` matching regex", "a text that matches")
         key, value = place.partition("[...]")[0].strip(".`"), cast(Any, plain)  # of an entry by name: its table
         for part in re.findall(r"[^.\[\]]+", key):
             value = value[int(part)] if isinstance(value, list) else value[part]

@@ -106,7 +106,7 @@ def test_two_flights_side_by_side_are_each_drawn_alone_and_with_their_outcomes(f
 def test_a_gif_keeps_its_time(fps, tmp_path):
     """Frames of 3 and 4 hundredths of a second, for 30 a second."""
     frames = np.random.default_rng(0).integers(0, 255, (24, 8, 8, 3), np.uint8)
-    video._encode_gif(tmp_path / "clip.gif", iter(frames), fps, (8, 8))
+    video._encode_pictures(tmp_path / "clip.gif", iter(frames), fps, (8, 8))
     durations = []
     with Image.open(tmp_path / "clip.gif") as film:
         for number in range(film.n_frames):
