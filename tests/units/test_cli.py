@@ -29,9 +29,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 CONFIGURED = [name for name in studies.names() if places.names(name)]
 """Studies with configurations."""
 
-FUNCTIONS = {(command.function, command.extras) for command in cli.COMMANDS.values() if command.function} | {
-    part for command in cli.COMMANDS.values() for part in command.parts.values()
-}
+FUNCTIONS = set(cli.FUNCTIONS.values())
 """Function and extras of every command and sub-command."""
 
 
