@@ -13,7 +13,8 @@ for each count such as 7 of 8, since the comment before, in their order. A cell 
   `…` for anything on the way; `in UNIT` follows if the text does not say its unit and it is not that of the SI.
 
 The number has to be that of the cell, rounded as it is shown; `--write` makes it so. `paper` and `arXiv:NUMBER` stand
-for what others have published, which is not checked. Code, formulas, headings and links are left out.
+for what others have published, `commit:HASH` for what the code of a commit has measured; neither is checked. Code,
+formulas, headings and links are left out.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ BETWEEN_CELLS = re.compile(r""";(?=(?:[^"]*"[^"]*")*[^"]*$)""")
 """Not within quotes."""
 AFTER = "||"
 """Between keys of the cell before and those of a cell, which replace them."""
-PUBLISHED = re.compile(r"paper|arXiv:\S+")
+PUBLISHED = re.compile(r"paper|arXiv:\S+|commit:[0-9a-f]{8}")
 CELL = re.compile(
     rf"""(?P<source>[\w./-]+)  (?:\[(?P<keys>.+?)\](?=\ |$))?
     (?:\ (?P<column>\w+))??  (?:\ (?P<over>sum|least|greatest))?

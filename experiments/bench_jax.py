@@ -16,7 +16,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -76,36 +75,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="measure only cases whose names have one of these")
     parser.add_argument("--seconds", type=float, help="approximate time per figure (default 1; quick: 0.3)")
     parser.add_argument("--quick", action="store_true", help="a few minutes: fewer sizes, no slow compilation")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="also write the tables to this file")
     given = parser.parse_args(arguments)
     sizes = given.batch or ([1, 64] if given.quick else [1, 64, 1024])
     seconds = given.seconds or (0.3 if given.quick else 1.0)
     untyped.config.update("jax_enable_x64", True)
-    lines: list[str] = []
-
-    def say(line: str) -> None:
-        print(line, flush=True)
-        lines.append(line)
-        if given.out is not None:  # after every line, so that an interrupted run leaves its results
-            given.out.parent.mkdir(parents=True, exist_ok=True)
-            given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
     with tempfile.TemporaryDirectory() as cache:
         untyped.config.update("jax_compilation_cache_dir", cache)
         untyped.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        say(_machine())
+        print(_machine(), flush=True)
         flight, hover = _hovering_flight()
         heads = "".join(f" batch {size} |" for size in sizes)
-        say(f"| what | {heads} compile, cold | cached |\n|---|{'---|' * (len(sizes) + 2)}")
+        print(f"| what | {heads} compile, cold | cached |\n|---|{'---|' * (len(sizes) + 2)}", flush=True)
         for case in cases(flight, hover):
             wanted = given.only is None or any(text in case.name for text in given.only)
             if wanted and not (given.quick and case.is_slow):
-                say(_row(case, sizes, seconds))
+                print(_row(case, sizes, seconds), flush=True)
         if given.only is None or "throughput" in given.only:
-            say("\n| throughput: batch | precision | ticks per second | flights of 50 s per second | compile |")
-            say("|---|---|---|---|---|")
+            print("\n| throughput: batch | precision | ticks per second | flights of 50 s per second | compile |")
+            print("|---|---|---|---|---|")
             for line in _throughput(flight, hover, seconds, quick=given.quick):
-                say(line)
+                print(line, flush=True)
     return 0
 
 

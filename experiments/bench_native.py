@@ -85,10 +85,8 @@ def _compile_pinocchio(*, native: bool) -> list[str]:
     libraries += [] if native else ["-lpinocchio_default"]
     include = ["-isystem", str(eigen), "-isystem", str(prefix / "include"), f"-I{SOURCES}"]
     program = FOLDER / ("pinocchio-native" if native else "pinocchio")
-    source = SOURCES / "pinocchio.cpp"
-    if not _is_newer(program, source, SOURCES / "timing.h", Path(pin.__file__)):
-        command = ["g++", "-std=c++17", "-O3", "-DNDEBUG", *PINOCCHIO_DEFINES, *flags, *include]
-        run([*command, str(source), *libraries, "-o", str(program)])
+    command = ["g++", "-std=c++17", "-O3", "-DNDEBUG", *PINOCCHIO_DEFINES, *flags, *include]
+    run([*command, str(SOURCES / "pinocchio.cpp"), *libraries, "-o", str(program)])
     return [str(program), str(FOLDER)]
 
 
@@ -99,15 +97,14 @@ def _compile_daqp(*, native: bool) -> list[str]:
     flags = ["-O3", "-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]
     flags += ["-march=native"] if native else []
     program = FOLDER / ("daqp-native" if native else "daqp")
-    if not _is_newer(program, SOURCES / "daqp.cpp", SOURCES / "timing.h", source):
-        objects = FOLDER / "objects"
-        objects.mkdir(exist_ok=True)
-        files = sorted(source.glob("src/*.c"))
-        for file in files:
-            run(["gcc", *flags, f"-I{source / 'include'}", "-c", str(file), "-o", str(objects / f"{file.stem}.o")])
-        links = [str(objects / f"{file.stem}.o") for file in files]
-        include = [f"-I{source / 'include'}", f"-I{SOURCES}"]
-        run(["g++", "-std=c++17", *flags, *include, str(SOURCES / "daqp.cpp"), *links, "-lm", "-o", str(program)])
+    objects = FOLDER / "objects"
+    objects.mkdir(exist_ok=True)
+    files = sorted(source.glob("src/*.c"))
+    for file in files:
+        run(["gcc", *flags, f"-I{source / 'include'}", "-c", str(file), "-o", str(objects / f"{file.stem}.o")])
+    links = [str(objects / f"{file.stem}.o") for file in files]
+    include = [f"-I{source / 'include'}", f"-I{SOURCES}"]
+    run(["g++", "-std=c++17", *flags, *include, str(SOURCES / "daqp.cpp"), *links, "-lm", "-o", str(program)])
     return [str(program), str(FOLDER), *QPS, *PLANS]
 
 
@@ -128,10 +125,6 @@ def _fetch(requirement: str, pattern: str, *options: str) -> Path:
                 package.extractall(unpacked, filter="data")
         unpacked.rename(folder)
     return folder
-
-
-def _is_newer(program: Path, *sources: Path) -> bool:
-    return program.is_file() and program.stat().st_mtime > max(source.stat().st_mtime for source in sources)
 
 
 def run(command: Sequence[str]) -> str:

@@ -28,11 +28,11 @@ from jax_aero.base.files import (
     write_netcdf,
 )
 from jax_aero.base.places import MANIFEST_FILE, RUN_FILE
-from jax_aero.base.result import FlightResult, RobotNames, is_repeated, labels_of
+from jax_aero.base.result import FlightResult, is_repeated, labels_of
 
 
 def to_dataset(
-    flight: FlightResult, robot: RobotNames, *, title: str, config_digest: str, engine: str = "rust"
+    flight: FlightResult, robot: rust.Robot, *, title: str, config_digest: str, engine: str = "rust"
 ) -> xr.Dataset:
     """Return a flight's log as a dataset with dimensions, coordinates and units."""
     variables: dict[str, Any] = {}
@@ -70,7 +70,7 @@ def to_dataset(
     return xr.Dataset(variables, coords, facts)
 
 
-def _coordinates(flight: FlightResult, robot: RobotNames) -> dict[str, Any]:
+def _coordinates(flight: FlightResult, robot: rust.Robot) -> dict[str, Any]:
     group_of = {joint: group for group, joints in robot.joint_groups.items() for joint in joints}
     coords: dict[str, Any] = {"time": ("time", flight.log["time"], {"units": "s", "long_name": "time"})}
     for dim, names in labels_of(robot).items():

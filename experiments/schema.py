@@ -11,9 +11,9 @@ import copy
 import importlib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from experiments import studies
 from experiments.cfd import design as cfd
@@ -151,70 +151,6 @@ def _nodes(node: Any) -> Iterator[Node]:
             yield from _nodes(entry)
 
 
-# --- content of a schema -----------------------------------------------------------------------------------------
-
-
-class TaggedTable(NamedTuple):
-    """Tables of several kinds, with the key that distinguishes them."""
-
-    tag: str
-    kinds: dict[str, Node]
-    """Schemas by the value of that key, without the key itself."""
-
-
-def _remove_null(node: Node) -> tuple[Node, bool]:
-    """Return a node without the null alternative, and whether there was one."""
-    if isinstance(node.get("type"), list):
-        return {**node, "type": node["type"][0]}, "null" in node["type"]
-    if options := node.get("anyOf"):
-        there = [option for option in options if option.get("type") != "null"]
-        return {**there[0], **{key: node[key] for key in ("description", "default") if key in node}}, True
-    return node, False
-
-
-def _find_tags(node: Node) -> TaggedTable | None:
-    """Return the kinds of a table, if there are several."""
-    options = [option for option in node.get("oneOf", ()) if "properties" in option]
-    if not options:
-        return None
-    (tag,) = (key for key, value in options[0]["properties"].items() if "const" in value)
-    kinds = {}
-    for option in options:
-        rest = {key: value for key, value in option["properties"].items() if key != tag}
-        required = [key for key in option["required"] if key != tag]
-        kinds[option["properties"][tag]["const"]] = {**option, "properties": rest, "required": required}
-    return TaggedTable(tag, kinds)
-
-
-def _choices(node: Node) -> dict[str, str] | None:
-    """Return the names allowed at a node, with their meaning."""
-    if "enum" in node:
-        return dict.fromkeys(node["enum"], "")
-    found = {option["const"]: option.get("description", "") for option in node.get("oneOf", ()) if "const" in option}
-    return found or None
-
-
-def _items(node: Node) -> Node:
-    found: Node = node.get("items") or node["prefixItems"][0]
-    return found
-
-
-def _definitions(schemas: Mapping[str, Node], roots: Sequence[str]) -> dict[str, Node]:
-    """Return every named type of some schemas, with these last."""
-    found: dict[str, Node] = {}
-    for name in roots:
-        schema = schemas[name]
-        for key, node in [*schema.get("$defs", {}).items(), (schema["title"], schema)]:
-            assert found.setdefault(key, node) == node, f"two types are named {key}"
-    return found
-
-
-def _type_name(node: Node) -> str | None:
-    """Return the name of the type that a node refers to, if any."""
-    reference = _remove_null(node)[0].get("$ref")
-    return None if reference is None else str(reference).removeprefix("#/$defs/")
-
-
 def _prose(text: str) -> str:
     """Return a description on one line, as plain text without code."""
     text = re.sub(r"\[(`[^`]*`)\]", r"\1", " ".join(text.partition("```")[0].split())).replace("`Self::", "`")
@@ -243,73 +179,97 @@ COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|-
 
 def reference(schemas: Mapping[str, Node]) -> str:
     """Return the page of all keys."""
-    roots = {"experiments": "A flight", "robot": "A robot"}
-    definitions = _definitions(schemas, list(roots))
     parts = [INTRODUCTION]
-    for root, heading in roots.items():
-        name = schemas[root]["title"]
+    for root, heading in {"experiments": "A flight", "robot": "A robot"}.items():
+        schema = schemas[root]
+        tables = {**schema.get("$defs", {}), "": schema}
         parts.append(f"\n## {heading}: `configs/{root}/*.toml`\n")
-        for part, keys in _places(name, definitions).items():
-            if part != name:
-                parts.append(f"\n### {', '.join(f'`{key}`' for key in keys)} {{#{part}}}\n")
-            parts.append(_section(definitions[part], definitions))
+        for name, keys in _places(tables).items():
+            if name:
+                parts.append(f"\n### {', '.join(f'`{key}`' for key in keys)} {{#{name}}}\n")
+            parts += _section(tables[name], tables)
     return "".join(parts)
 
 
-def _places(root: str, definitions: Mapping[str, Node]) -> dict[str, list[str]]:
-    """Return the tables below a root, each with the dotted keys at which it occurs."""
-    found: dict[str, list[str]] = {root: [""]}
+def _places(tables: Mapping[str, Node]) -> dict[str, list[str]]:
+    """Return the tables below that without a name, each with the dotted keys at which it occurs."""
+    found: dict[str, list[str]] = {"": [""]}
 
     def walk(node: Node, key: str) -> None:
-        node = _remove_null(node)[0]
-        if (name := _type_name(node)) and not _choices(definitions[name]):
+        node = _given(node)
+        if (name := name_of(node)) and not choices_of(tables[name]):
             known = found.setdefault(name, [])
             if key not in known:
                 known.append(key)
-                walk_inside(definitions[name], key)
+                walk_inside(tables[name], key)
         elif node.get("type") == "array":
-            walk(_items(node), f"{key}[]")
+            walk(items(node), f"{key}[]")
         elif isinstance(node.get("additionalProperties"), dict):
             walk(node["additionalProperties"], f"{key}.NAME")
 
     def walk_inside(node: Node, key: str) -> None:
-        tagged = _find_tags(node)
-        for option in tagged.kinds.values() if tagged else [node]:
-            for name, inner in option.get("properties", {}).items():
+        for _, _, kind in kinds(node):
+            for name, inner in kind.get("properties", {}).items():
                 walk(inner, f"{key}.{name}".lstrip("."))
 
-    walk_inside(definitions[root], "")
+    walk_inside(tables[""], "")
     return found
 
 
-def _section(node: Node, definitions: Mapping[str, Node]) -> str:
-    text = f"\n{_markdown(node.get('description', ''))[0]}\n"
-    tagged = _find_tags(node)
-    if tagged is None:
-        return (
-            f"{text}\n{COLUMNS}{_rows(node, definitions)}"
-            if node.get("properties")
-            else f"{text}\nA table without keys.\n"
-        )
-    for kind, option in tagged.kinds.items():
-        text += f'\n`{tagged.tag} = "{kind}"`: {_prose(option.get("description", ""))}\n'
-        if option["properties"]:
-            text += f"\n{COLUMNS}{_rows(option, definitions)}"
-    return text
+def _given(node: Node) -> Node:
+    """Return a node without the null of a key that may be absent."""
+    if isinstance(node.get("type"), list):
+        return {**node, "type": node["type"][0]}
+    if "anyOf" in node:
+        there = next(option for option in node["anyOf"] if option.get("type") != "null")
+        return {**there, **{key: node[key] for key in ("description", "default") if key in node}}
+    return node
 
 
-def _rows(node: Node, definitions: Mapping[str, Node]) -> str:
-    return "".join(
-        _row(key, value, key in node.get("required", ()), definitions) for key, value in node["properties"].items()
-    )
+def name_of(node: Node) -> str:
+    """Return the name of the table or of the choices that a node refers to, if any."""
+    return str(node.get("$ref", "")).removeprefix("#/$defs/")
 
 
-def _row(key: str, node: Node, required: bool, definitions: Mapping[str, Node]) -> str:
+def choices_of(node: Node) -> dict[str, str]:
+    """Return the names allowed at a node, with their meaning."""
+    named = {option["const"]: option.get("description", "") for option in node.get("oneOf", ()) if "const" in option}
+    return named or dict.fromkeys(node.get("enum", ()), "")
+
+
+def kinds(node: Node) -> Iterator[tuple[str, str, Node]]:
+    """Yield the kinds of a table, each with the key and value that distinguish it; a table of one kind has none."""
+    for kind in node.get("oneOf", [node]):
+        constants = ((key, part["const"]) for key, part in kind.get("properties", {}).items() if "const" in part)
+        yield *next(constants, ("", "")), kind
+
+
+def items(node: Node) -> Node:
+    """Return the schema of the entries of a list."""
+    found: Node = node.get("items") or node["prefixItems"][0]
+    return found
+
+
+def _section(node: Node, tables: Mapping[str, Node]) -> Iterator[str]:
+    yield f"\n{_markdown(node.get('description', ''))[0]}\n"
+    for tag, value, kind in kinds(node):
+        keys = {key: part for key, part in kind.get("properties", {}).items() if "const" not in part}
+        if tag:
+            yield f'\n`{tag} = "{value}"`: {_prose(kind.get("description", ""))}\n'
+        if keys:
+            yield f"\n{COLUMNS}"
+        elif not tag:
+            yield "\nA table without keys.\n"
+        for key, part in keys.items():
+            yield _row(key, part, key in kind.get("required", ()), tables)
+
+
+def _row(key: str, node: Node, required: bool, tables: Mapping[str, Node]) -> str:
     meaning, unit = _markdown(node.get("description", ""))
-    kind, limits, choices = _kind(node, definitions)
+    kind, limits, choices = _kind(_given(node), tables)
     default = node.get("default")
     if isinstance(default, dict):
-        written = "its own" if _type_name(node) else "none"
+        written = "its own" if name_of(_given(node)) else "none"
     else:
         written = "" if required else "none" if default is None else f"`{json.dumps(default, ensure_ascii=False)}`"
     listed = "; ".join(f"`{name}`: {_prose(text).rstrip('.')}" for name, text in choices.items() if text)
@@ -318,20 +278,18 @@ def _row(key: str, node: Node, required: bool, definitions: Mapping[str, Node]) 
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
 
 
-def _kind(node: Node, definitions: Mapping[str, Node]) -> tuple[str, str, dict[str, str]]:
+def _kind(node: Node, tables: Mapping[str, Node]) -> tuple[str, str, dict[str, str]]:
     """Return type and range of a node in words, and its choices with their meaning."""
-    node = _remove_null(node)[0]
-    if name := _type_name(node):
-        if choices := _choices(definitions[name]):
-            return " or ".join(f"`{choice}`" for choice in choices), "", choices
-        return f"[table](#{name})", "", {}
+    if name := name_of(node):
+        choices = choices_of(tables[name])
+        return " or ".join(f"`{choice}`" for choice in choices) or f"[table](#{name})", "", choices
     if node["type"] == "array":
-        inner, limits, choices = _kind(_items(node), definitions)
+        inner, limits, choices = _kind(items(node), tables)
         length = node.get("minItems")
         is_fixed = length is not None and length == node.get("maxItems")
-        return f"list of {length}: {inner}" if is_fixed else f"list of {inner}", limits, choices
+        return f"list of {f'{length}: ' if is_fixed else ''}{inner}", limits, choices
     if node["type"] == "object":
-        inner, limits, choices = _kind(node["additionalProperties"], definitions)
+        inner, limits, choices = _kind(node["additionalProperties"], tables)
         return f"by name: {inner}", limits, choices
     words = {"string": "path" if node.get("format") == "path" else "text", "boolean": "true or false"}
     signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}

@@ -9,15 +9,13 @@
 its other functions). `prepare` and `rollout` compute the same flight in JAX, for `jit`, `vmap` and `grad`;
 `replace_values` replaces numbers in what `prepare` returns (`jax_aero.sim` has the other functions). `air` gives
 aerodynamic forces to other simulators, and `env` is the flight as a reinforcement-learning environment. Packages of the
-extras are imported on first use; a module that lacks one names the extra that brings it.
+extras are imported on first use: `twin` brings those of `sim`, `air` and `env`.
 """
 
 from __future__ import annotations
 
 import importlib
 from typing import TYPE_CHECKING, Any
-
-from jax_aero.base import extras
 
 if TYPE_CHECKING:
     from jax_aero import air as air
@@ -49,8 +47,6 @@ _PLACES = {
 }
 
 __all__ = list(_PLACES)
-
-extras.install()
 
 
 def __getattr__(name: str) -> Any:

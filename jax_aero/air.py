@@ -38,7 +38,7 @@ from jax_aero.body.robot import AeroLinks, RobotModel, load_robot
 from jax_aero.body.spatial import cross
 from jax_aero.mujoco.model import mjx as mjx
 from jax_aero.mujoco.model import mujoco_spec
-from jax_aero.types import Array, Kinematics, Static, leaf, pytree
+from jax_aero.types import Array, Kinematics, leaf, pytree, static
 
 __all__ = [
     "AIR_DENSITY",
@@ -81,7 +81,7 @@ class Link:
 class _Limbs:
     """Substitute for a robot when links are declared: all that a model of single links needs."""
 
-    name: Static[str]
+    name: str = static()
     aero_links: AeroLinks
 
 
@@ -100,13 +100,13 @@ class Air:
 
     aero: AeroModel
     robot: RobotModel
-    names: Static[tuple[str, ...]]
+    names: tuple[str, ...] = static()
     """Names of the model's bodies that carry links, in the order of the bodies of `robot`."""
-    bodies: Static[tuple[int, ...]]
+    bodies: tuple[int, ...] = static()
     """Indices of these bodies."""
-    roots: Static[tuple[int, ...]]
+    roots: tuple[int, ...] = static()
     """Root body of the tree of each of these bodies; empty for a model of Newton."""
-    joints: Static[tuple[int, ...]]
+    joints: tuple[int, ...] = static()
     """Index in `qpos` of each joint of the robot; empty if links are declared."""
 
     def loads(self, data: Any, wind: Float[Array, "3"]) -> LinkLoads:

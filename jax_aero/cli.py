@@ -12,97 +12,74 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import argcomplete
 
-from jax_aero.base import extras, places
+from jax_aero.base import places
 from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import CLOSED as CLOSED
 from jax_aero.base.terminal import INTERRUPTED as INTERRUPTED
 from jax_aero.base.terminal import REFUSED as REFUSED
-from jax_aero.base.terminal import refuse, run_with_output
-
-
-class Command(NamedTuple):
-    """A command: the module of its function, the extras of the package that it needs, and its description."""
-
-    function: str
-    extras: str
-    about: str
-    parts: Mapping[str, tuple[str, str]] = {}
-    """Functions of its sub-commands, and the extras that they need, by their first word."""
-
+from jax_aero.base.terminal import missing_package, package_of, refuse, run_with_output
 
 COMMANDS = {
-    "fly": Command("experiments.fly:main", "figs", "fly experiments by name: jax-aero fly test2"),
-    "sweep": Command("experiments.sweep.command:main", "sweeps", "fly many perturbed flights, and count"),
-    "challenge": Command("experiments.challenge:main", "sweeps", "fly a controller of yours through wind-humanoid-1"),
-    "figures": Command("paper_figs.command:main", "figs", "draw figures from results"),
-    "report": Command(
-        "experiments.report.command:main",
-        "sweeps",
-        "write all results on one page, or keep some in the documentation",
-        {"keep": ("experiments.report.keep:main", "sweeps")},
-    ),
-    "view": Command(
-        "jax_aero.view.cli:view",
-        "view",
-        "show a flight in the browser, and fly it again",
-        {name: (f"jax_aero.view.cli:{name}", "view") for name in ("video", "snapshot")},
-    ),
-    "export": Command("jax_aero.view.cli:export", "view,logs", "write a flight as HTML, MCAP or CSV for other viewers"),
-    "replay": Command("experiments.replay:main", "logs", "replay a log through the tick of a controller, and compare"),
-    "identify": Command("experiments.identify.command:main", "twin,logs", "find a robot's numbers in its own logs"),
-    "study": Command("experiments.studies:main", "view,symbolic", "answer a question: jax-aero study lists them"),
-    "air": Command("experiments.air:main", "twin", "force and moment of robot and links by angle and posture"),
-    "verify": Command("jax_aero.verify.cli:main", "twin", "compare the Rust crate with JAX"),
-    "robot": Command(
-        "",
-        "twin,symbolic",
-        "make a robot of a URDF, or a mission of waypoints, to fly",
-        {
-            "import": ("experiments.robot.command:main", "twin,symbolic"),
-            "waypoints": ("experiments.robot.waypoints:main", "sweeps"),
-        },
-    ),
-    "data": Command(
-        "",
-        "fit",
-        "read logs of a turbine, CFD tables and wind-tunnel files, fit coefficients",
-        {
-            "import-bench": ("experiments.data.import_bench:main", "twin"),
-            "import-cfd": ("experiments.data.import_cfd:main", "twin"),
-            "import-tunnel": ("experiments.data.import_tunnel:main", "twin"),
-            "import-pressures": ("experiments.data.import_pressures:main", "twin"),
-            "fit-aero": ("experiments.data.fit_aero:main", "fit"),
-        },
-    ),
-    "train": Command(
-        "experiments.training.command:main",
-        "train",
-        "train an aerodynamic network, several of them, or search for its settings",
-        {
-            "ensemble": ("experiments.training.ensemble:main", "train"),
-            "search": ("experiments.training.search:main", "train"),
-        },
-    ),
-    "cfd": Command(
-        "experiments.cfd.command:main",
-        "twin,sweeps",
-        "compute forces of the air with OpenFOAM, verify and compare them",
-        {
-            "verify": ("experiments.cfd.verify:main", "twin,sweeps"),
-            "flow": ("experiments.cfd.flow:main", "flow"),
-            "compare": ("experiments.cfd.compare:main", "twin,sweeps"),
-            "tunnel": ("experiments.cfd.tunnel:main", "twin,sweeps"),
-            "taps": ("experiments.cfd.taps:main", "twin,sweeps"),
-        },
-    ),
+    "fly": "fly experiments by name: jax-aero fly test2",
+    "sweep": "fly many perturbed flights, and count",
+    "challenge": "fly a controller of yours through wind-humanoid-1",
+    "figures": "draw figures from results",
+    "report": "write all results on one page, or keep some in the documentation",
+    "view": "show a flight in the browser, and fly it again",
+    "export": "write a flight as HTML, MCAP or CSV for other viewers",
+    "replay": "replay a log through the tick of a controller, and compare",
+    "identify": "find a robot's numbers in its own logs",
+    "study": "answer a question: jax-aero study lists them",
+    "air": "force and moment of robot and links by angle and posture",
+    "verify": "compare the Rust crate with JAX",
+    "robot": "make a robot of a URDF, or a mission of waypoints, to fly",
+    "data": "read logs of a turbine, CFD tables and wind-tunnel files, fit coefficients",
+    "train": "train an aerodynamic network, several of them, or search for its settings",
+    "cfd": "compute forces of the air with OpenFOAM, verify and compare them",
 }
+"""What each command does."""
+
+FUNCTIONS = {
+    "fly": ("experiments.fly:main", "figs"),
+    "sweep": ("experiments.sweep.command:main", "sweeps"),
+    "challenge": ("experiments.challenge:main", "sweeps"),
+    "figures": ("paper_figs.command:main", "figs"),
+    "report": ("experiments.report.command:main", "sweeps"),
+    "report keep": ("experiments.report.keep:main", "sweeps"),
+    "view": ("jax_aero.view.cli:view", "view"),
+    "view video": ("jax_aero.view.cli:video", "view"),
+    "view snapshot": ("jax_aero.view.cli:snapshot", "view"),
+    "export": ("jax_aero.view.cli:export", "view,logs"),
+    "replay": ("experiments.replay:main", "logs"),
+    "identify": ("experiments.identify.command:main", "twin,logs"),
+    "study": ("experiments.studies:main", "view,symbolic"),
+    "air": ("experiments.air:main", "twin"),
+    "verify": ("jax_aero.verify.cli:main", "twin"),
+    "robot import": ("experiments.robot.command:main", "twin,symbolic"),
+    "robot waypoints": ("experiments.robot.waypoints:main", "sweeps"),
+    "data import-bench": ("experiments.data.import_bench:main", "twin"),
+    "data import-cfd": ("experiments.data.import_cfd:main", "twin"),
+    "data import-tunnel": ("experiments.data.import_tunnel:main", "twin"),
+    "data import-pressures": ("experiments.data.import_pressures:main", "twin"),
+    "data fit-aero": ("experiments.data.fit_aero:main", "fit"),
+    "train": ("experiments.training.command:main", "train"),
+    "train ensemble": ("experiments.training.ensemble:main", "train"),
+    "train search": ("experiments.training.search:main", "train"),
+    "cfd": ("experiments.cfd.command:main", "twin,sweeps"),
+    "cfd verify": ("experiments.cfd.verify:main", "twin,sweeps"),
+    "cfd flow": ("experiments.cfd.flow:main", "flow"),
+    "cfd compare": ("experiments.cfd.compare:main", "twin,sweeps"),
+    "cfd tunnel": ("experiments.cfd.tunnel:main", "twin,sweeps"),
+    "cfd taps": ("experiments.cfd.taps:main", "twin,sweeps"),
+}
+"""Function of each command and sub-command, and the extras of the package that it needs."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -191,26 +168,31 @@ def _run(words: Sequence[str]) -> int:
         _parser().parse_args(words)
         print(_help())
         return 0 if words else REFUSED
-    command = COMMANDS[name]
-    function, needed = command.function, command.extras
-    if rest and rest[0] in command.parts:
-        (function, needed), rest = command.parts[rest[0]], rest[1:]
-    if not function:
-        return _choose(name, command, rest)
+    if rest and f"{name} {rest[0]}" in FUNCTIONS:
+        function, needed = FUNCTIONS[f"{name} {rest.pop(0)}"]
+    elif name in FUNCTIONS:
+        function, needed = FUNCTIONS[name]
+    else:
+        return _choose(name, rest)
     try:
         module, attribute = function.split(":")
         work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), attribute)
         return work(rest) or 0
     except ModuleNotFoundError as missing:
-        if extras.is_ours(missing):
-            raise
-        return refuse(extras.missing_package(f"`{name}`", missing, needed))
+        if package_of(missing) in ("", "jax_aero", "experiments", "paper_figs"):
+            raise  # no extra brings a module of ours
+        return refuse(missing_package(f"`{name}`", missing, needed))
 
 
-def _choose(name: str, command: Command, words: Sequence[str]) -> int:
+def _parts(name: str) -> list[str]:
+    """Return the sub-commands of a command."""
+    return [part for command, _, part in (words.partition(" ") for words in FUNCTIONS) if command == name and part]
+
+
+def _choose(name: str, words: Sequence[str]) -> int:
     """Refuse a command that does nothing without one of its sub-commands."""
-    parser = Parser(name, command.about)
-    parser.add_argument("part", choices=list(command.parts), metavar="COMMAND", help=", ".join(command.parts))
+    parser = Parser(name, COMMANDS[name])
+    parser.add_argument("part", choices=_parts(name), metavar="COMMAND", help=", ".join(_parts(name)))
     parser.parse_args(words)
     return REFUSED
 
@@ -226,8 +208,8 @@ def _parser() -> Parser:
 def _help() -> str:
     width = max(map(len, COMMANDS))
     listed = "\n".join(
-        f"  {name:<{width}}  {command.about}" + (f" ({', '.join(command.parts)})" if command.parts else "")
-        for name, command in COMMANDS.items()
+        f"  {name:<{width}}  {about}" + (f" ({', '.join(_parts(name))})" if _parts(name) else "")
+        for name, about in COMMANDS.items()
     )
     return f"""usage: jax-aero COMMAND ...
 
@@ -255,7 +237,6 @@ def _words_before_cursor() -> list[str]:
     words = shlex.split(line + "_")[1:]  # the suffix preserves an empty last word
     if len(words) < 2:
         return []
-    command = COMMANDS.get(words[0])
-    has_part = len(words) > 2 and command is not None and (words[1] in command.parts or words[0] == "study")
+    has_part = len(words) > 2 and (words[0] == "study" or f"{words[0]} {words[1]}" in FUNCTIONS)
     os.environ["_ARGCOMPLETE"] = "3" if has_part else "2"
     return words[: 1 + has_part]

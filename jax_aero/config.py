@@ -1,7 +1,7 @@
-"""Types of a flight's configuration, made of the crate's schema; `configs/schema` describes every key.
+"""Types of a flight's configuration, as `make generated` writes them; `configs/schema` describes every key.
 
-A table is a frozen `msgspec.Struct` and a list a tuple. A table of several kinds is the union of a type for each:
-`AeroConfig` with `model = "off"` is an `OffAeroConfig`. `jax_aero.base.typed` fills them.
+A list is a tuple, and a table of several kinds the union of a type for each: `AeroConfig` with `model = "off"` is an
+`OffAeroConfig`. `jax_aero.base.typed` fills them.
 
 >>> ChannelConfig(delay=0.02)
 ChannelConfig(delay=0.02, time_constant=0.0)
@@ -9,79 +9,629 @@ ChannelConfig(delay=0.02, time_constant=0.0)
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import reduce
-from operator import or_
-from types import GenericAlias
-from typing import Any, Literal
+from typing import Literal, TypeAlias
 
-import msgspec
-
-from jax_aero import rust
-
-SCALARS = {"number": float, "integer": int, "string": str, "boolean": bool, "null": None}
-_schema = rust.schemas()["experiments"]
-_tables: Mapping[str, Any] = {**_schema["$defs"], _schema["title"]: _schema}
-_types: dict[str, Any] = {}
+from msgspec import Struct, field
 
 
-def _named(name: str) -> Any:
-    """Return the type of a definition of the schema."""
-    if name not in _types:
-        node = _tables[name]
-        options = node.get("oneOf", ())
-        names = node.get("enum") or [option["const"] for option in options if "const" in option]
-        kinds = [_kind(name, option) for option in options if "properties" in option]
-        _types[name] = reduce(or_, kinds) if kinds else Literal[tuple(names)] if names else _table(name, node)
-    return _types[name]
+class CylinderTables(Struct, frozen=True, kw_only=True):
+    axial_drag: tuple[float, ...]
+    crosswind_drag: tuple[float, ...]
+    diameter_over_length: tuple[float, ...]
+    finite_length_drag: tuple[float, ...]
+    length_over_diameter: tuple[float, ...]
+    reference_reynolds: float
+    reynolds: tuple[float, ...]
 
 
-def _kind(name: str, node: Mapping[str, Any]) -> Any:
-    """Return the type of one kind of a table, which has the value of its key that is constant in its name."""
-    (tag,) = (key for key, part in node["properties"].items() if "const" in part)
-    kind = node["properties"][tag]["const"]
-    rest = {key: part for key, part in node["properties"].items() if key != tag}
-    full = "".join(map(str.title, kind.split("_"))) + name
-    _types[full] = _table(full, {**node, "properties": rest}, tag_field=tag, tag=kind)
-    return _types[full]
+class SphereTables(Struct, frozen=True, kw_only=True):
+    drag: tuple[float, ...]
+    drag_below_reynolds_10: float
+    reynolds: tuple[float, ...]
+
+Precision: TypeAlias = Literal["f32", "f64"]
 
 
-def _table(name: str, node: Mapping[str, Any], **tag: Any) -> Any:
-    fields = [_field(key, part, key in node.get("required", ())) for key, part in node.get("properties", {}).items()]
-    return msgspec.defstruct(name, fields, frozen=True, kw_only=True, module=__name__, **tag)
+class OffAeroConfig(Struct, frozen=True, kw_only=True, tag_field="model", tag="off"):
+    pass
 
 
-def _field(key: str, node: Mapping[str, Any], is_required: bool) -> tuple[str, Any, Any]:
-    kind, name = _type(node), f"{key}_" if key == "lambda" else key
-    if is_required:
-        return name, kind, msgspec.field(name=key)
-    default = msgspec.convert(node.get("default"), kind)
-    given = {"default_factory": dict} if default == {} else {"default": default}
-    return name, kind, msgspec.field(name=key, **given)
+class AxisymmetricAeroConfig(Struct, frozen=True, kw_only=True, tag_field="model", tag="axisymmetric"):
+    air_density: float
+    coefficients: str
 
 
-def _type(node: Mapping[str, Any]) -> Any:
-    if "$ref" in node:
-        return _named(node["$ref"].rpartition("/")[2])
-    if "anyOf" in node:
-        return reduce(or_, map(_type, node["anyOf"]))
-    kind = node["type"]
-    if isinstance(kind, list):
-        return reduce(or_, (_type({**node, "type": each}) for each in kind))
-    if kind == "array":
-        item, length = _type(node.get("items") or node["prefixItems"][0]), node.get("minItems")
-        is_fixed = length == node.get("maxItems")
-        return GenericAlias(tuple, (item,) * length if length is not None and is_fixed else (item, ...))
-    return GenericAlias(dict, (str, _type(node["additionalProperties"]))) if kind == "object" else SCALARS[kind]
+class SphereCylinderAeroConfig(Struct, frozen=True, kw_only=True, tag_field="model", tag="sphere_cylinder"):
+    air_density: float
+    cylinder: CylinderTables
+    dynamic_viscosity: float
+    sphere: SphereTables
 
 
-for _name in _tables:
-    _named(_name)
-globals().update(_types)
+class NetworkAeroConfig(Struct, frozen=True, kw_only=True, tag_field="model", tag="network"):
+    air_density: float
+    card: str
+    precision: Precision = "f32"
 
 
-def _refuse(name: str) -> Any:
-    raise AttributeError(f"module {__name__} has no attribute {name}")
+AeroConfig: TypeAlias = OffAeroConfig | AxisymmetricAeroConfig | SphereCylinderAeroConfig | NetworkAeroConfig
+
+RateFeedback: TypeAlias = Literal["wrench", "force", "moment", "none"]
 
 
-__getattr__: Any = _refuse  # for mypy, names that no file states are of any type
+class AeroFeedback(Struct, frozen=True, kw_only=True):
+    lambda_: bool = field(name="lambda", default=True)
+    momentum_rate: RateFeedback = "wrench"
+    torque: bool = True
+
+
+class BoundsConfig(Struct, frozen=True, kw_only=True):
+    joint_steepness: float
+    joint_velocity_max_deg: float | None = None
+    thrust_rate_max: dict[str, float]
+    thrust_steepness: float
+
+
+class Jumps(Struct, frozen=True, kw_only=True):
+    angular_velocity: float = 2.0
+    joint_position: float = 0.5
+    joint_velocity: float = 30.0
+    position: float = 0.3
+    rotation: float = 0.2
+    velocity: float = 1.0
+    wind: float = 5.0
+
+
+class ChannelsConfig(Struct, frozen=True, kw_only=True):
+    descend_after: float = 3.0
+    jump: Jumps | None = None
+    wind_hold: float = 1.0
+
+
+class LoadTransfer(Struct, frozen=True, kw_only=True):
+    gain: float
+    height: float
+    hold_time: float
+    measured_gain: float
+    unmodelled_force_max: float | None = None
+
+
+class WrenchLimits(Struct, frozen=True, kw_only=True):
+    centre_of_pressure_margin: float = 0.0
+    friction: float
+    torsional_friction: float
+    vertical_force_min: float
+
+
+class ContactConfig(Struct, frozen=True, kw_only=True):
+    feet: tuple[str, ...]
+    force_rate_dead_zone: float
+    force_rate_max: float
+    load_transfer: LoadTransfer | None = None
+    start_with_moment: bool
+    vertical_force_min: float
+    weight_foot_acceleration: float
+    weight_foot_velocity: float
+    weight_force: float
+    weight_force_rate: float
+    wrench: WrenchLimits
+
+
+class MomentumGains(Struct, frozen=True, kw_only=True):
+    c0: float
+    c1: float
+    kd_linear: tuple[float, float, float]
+    ko: float
+    kp_linear: tuple[float, float, float]
+
+
+class DescentConfig(Struct, frozen=True, kw_only=True):
+    joint_velocity_max_deg: float
+    momentum: MomentumGains
+    range_share_min: float
+    torque_rate_max: float
+
+
+class EnginesConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float
+    descent: DescentConfig | None = None
+    deviation_max: float
+    time_constant: float
+
+
+class ChannelConfig(Struct, frozen=True, kw_only=True):
+    delay: float = 0.0
+    time_constant: float = 0.0
+
+
+class LatencyConfig(Struct, frozen=True, kw_only=True):
+    thrust: float = 0.0
+    torque: float = 0.0
+
+
+class EstimatorConfig(Struct, frozen=True, kw_only=True):
+    base_angular_velocity: ChannelConfig = ChannelConfig()
+    base_linear_velocity: ChannelConfig = ChannelConfig()
+    base_position: ChannelConfig = ChannelConfig()
+    base_rotation: ChannelConfig = ChannelConfig()
+    gyro_bias: float | None = None
+    joint_observer: float | None = None
+    joint_position: ChannelConfig = ChannelConfig()
+    joint_velocity: ChannelConfig = ChannelConfig()
+    latency: LatencyConfig = LatencyConfig()
+    thrust: ChannelConfig = ChannelConfig()
+
+JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
+
+JetDynamics: TypeAlias = Literal["ideal", "second_order"]
+
+
+class JointsConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float
+    displacement_min: float
+    share_max: float
+    torque_min: float
+
+
+class LatencyMonitorConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float
+    thrust_max: float
+    torque_max: float
+
+LeverArm: TypeAlias = Literal["rotated", "unrotated"]
+
+LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
+
+Air: TypeAlias = Literal["linear", "constant"]
+
+
+class ClearanceConfig(Struct, frozen=True, kw_only=True):
+    apart_from: tuple[str, ...]
+    exhaust: float
+    least: float
+    links: tuple[str, ...]
+    weight: float
+
+
+class MpcWeights(Struct, frozen=True, kw_only=True):
+    acceleration: float
+    angular_acceleration: float
+    angular_velocity: float
+    attitude: tuple[float, float, float]
+    clearance: float | None = None
+    joint_command: float
+    joint_velocity: float
+    position: tuple[float, float, float]
+    posture: dict[str, float]
+    tail: tuple[float, float]
+    thrust_rate: float
+    velocity: tuple[float, float, float]
+
+
+class MpcConfig(Struct, frozen=True, kw_only=True):
+    air: Air = "linear"
+    clearance: ClearanceConfig | None = None
+    decay: float
+    descent: MpcWeights | None = None
+    joint_excess: float
+    joint_groups: tuple[str, ...]
+    joint_knots: tuple[int, ...]
+    knots: tuple[float, ...]
+    period: float
+    posture_gain: float
+    thrust_excess: float
+    weights: MpcWeights
+
+
+class ObserverConfig(Struct, frozen=True, kw_only=True):
+    force_max: float
+    gain_force: float
+    gain_moment: float
+    moment_max: float
+
+
+class PolicyConfig(Struct, frozen=True, kw_only=True):
+    card: str
+
+Fallback: TypeAlias = Literal["hold", "clarabel"]
+
+Solver: TypeAlias = Literal["active_set", "clarabel"]
+
+
+class QpConfig(Struct, frozen=True, kw_only=True):
+    fallback: Fallback = "hold"
+    solver: Solver = "active_set"
+
+
+class SetpointConfig(Struct, frozen=True, kw_only=True):
+    acceleration_smoothing: float
+    angular_velocity_smoothing: float
+    attitude_gain: float
+    attitude_rate_deg: tuple[float, float]
+    deceleration: float = 1.5
+    descent_speed: float = 0.5
+    nose_down_limits_deg: tuple[float, float]
+    position_smoothing: float
+    speed: tuple[float, float]
+    turbo_boost: float
+    turbo_rate: float
+
+
+class ShaftConfig(Struct, frozen=True, kw_only=True):
+    accelerations: tuple[float, float]
+    density: float = 1.225
+    exponent: float
+    idle: float
+    lags: tuple[float, float]
+    ramps: tuple[float, float]
+    square_share: float
+    temperature: float = 288.15
+
+
+class SupervisorConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float
+    horizon: float
+    joint_velocity: float
+    position: float
+    rotation: float
+
+
+class TorqueConfig(Struct, frozen=True, kw_only=True):
+    friction: dict[str, float] | None = None
+    kd: float
+    kp: float
+    regularisation: float
+    rotor_inertia: float = 0.0
+    steps: int = 1
+    torque_max: float | None = None
+    torque_rate_max: float | None = None
+    weight_acceleration: float
+    weight_torque: float
+
+
+class MomentumWeights(Struct, frozen=True, kw_only=True):
+    angular_momentum: float
+    joint_velocity: float
+    momentum: float
+    posture: float
+    regularisation: float
+    symmetric_jets: tuple[tuple[str, str], ...]
+    symmetry: float
+    thrust_rate: dict[str, float]
+
+
+class WindObserverConfig(Struct, frozen=True, kw_only=True):
+    pass
+
+
+class ControllerSection(Struct, frozen=True, kw_only=True):
+    aero: AeroConfig
+    aero_feedback: AeroFeedback = AeroFeedback()
+    axes_of: str | None = None
+    bounds: BoundsConfig
+    channels: ChannelsConfig = ChannelsConfig()
+    contact: ContactConfig | None = None
+    engines: EnginesConfig | None = None
+    estimator: EstimatorConfig | None = None
+    jacobian_offset: JacobianOffset = "link_rotation"
+    jet_dynamics: JetDynamics = "ideal"
+    joints: JointsConfig | None = None
+    latency_monitor: LatencyMonitorConfig | None = None
+    lever_arm: LeverArm = "rotated"
+    link_velocity: LinkVelocity = "at_centre"
+    momentum: MomentumGains
+    mpc: MpcConfig | None = None
+    observer: ObserverConfig | None = None
+    policy: PolicyConfig | None = None
+    posture_gain: dict[str, float]
+    qp: QpConfig = QpConfig()
+    setpoint: SetpointConfig
+    shaft: ShaftConfig | None = None
+    supervisor: SupervisorConfig | None = None
+    torque: TorqueConfig
+    use_jets: bool = True
+    weights: MomentumWeights
+    wind_observer: WindObserverConfig | None = None
+
+
+class ForceFactorsConfig(Struct, frozen=True, kw_only=True):
+    drag: float = 1.0
+    links: dict[str, float] = {}
+    normal: float = 1.0
+    scale: float = 1.0
+
+
+class ConstantWindConfig(Struct, frozen=True, kw_only=True, tag_field="profile", tag="constant"):
+    velocity: tuple[float, float, float]
+
+
+class RampWindConfig(Struct, frozen=True, kw_only=True, tag_field="profile", tag="ramp"):
+    ramp_end: float
+    ramp_start: float
+    velocity: tuple[float, float, float]
+
+
+class GustWindConfig(Struct, frozen=True, kw_only=True, tag_field="profile", tag="gust"):
+    duration: float
+    gust: tuple[float, float, float]
+    start: float
+    velocity: tuple[float, float, float]
+
+
+class TurbulentWindConfig(Struct, frozen=True, kw_only=True, tag_field="profile", tag="turbulent"):
+    ramp_end: float
+    ramp_start: float
+    seed: int = 0
+    std: tuple[float, float, float]
+    time_scale: float
+    velocity: tuple[float, float, float]
+
+
+class FileWindConfig(Struct, frozen=True, kw_only=True, tag_field="profile", tag="file"):
+    path: str
+
+
+class SamplesWindConfig(Struct, frozen=True, kw_only=True, tag_field="profile", tag="samples"):
+    samples: tuple[tuple[float, float, float, float], ...]
+
+
+WindConfig: TypeAlias = ConstantWindConfig | RampWindConfig | GustWindConfig | TurbulentWindConfig | FileWindConfig | SamplesWindConfig
+
+FailureKind: TypeAlias = Literal["off", "stuck"]
+
+
+class JetFailure(Struct, frozen=True, kw_only=True):
+    decay: float = 0.0
+    jet: str
+    kind: FailureKind
+    time: float
+
+
+class MeasurementNoise(Struct, frozen=True, kw_only=True):
+    seed: int = 0
+    std: float
+
+
+class JetFaultsConfig(Struct, frozen=True, kw_only=True):
+    failure: JetFailure | None = None
+    force_scale: dict[str, float] = {}
+    lag: float = 0.0
+    limit_is_known: bool = False
+    measurement_noise: MeasurementNoise | None = None
+    thrust_limit_scale: float | None = None
+
+JointFaultKind: TypeAlias = Literal["stuck", "weak", "free"]
+
+
+class JointFault(Struct, frozen=True, kw_only=True):
+    joint: str
+    kind: JointFaultKind
+    start: float
+
+
+class ModelError(Struct, frozen=True, kw_only=True):
+    com_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia_scale: float = 1.0
+    mass_scale: float = 1.0
+    of_plant: bool | None = None
+    thrust_axes: tuple[tuple[float, float, float], ...] = ()
+
+OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity"]
+
+OutageKind: TypeAlias = Literal["missing", "nan", "frozen", "wrong"]
+
+
+class Outage(Struct, frozen=True, kw_only=True):
+    channel: OutageChannel
+    duration: float | None = None
+    error: float = 1.0
+    jet: str | None = None
+    kind: OutageKind
+    start: float
+
+
+class Push(Struct, frozen=True, kw_only=True):
+    body: str
+    duration: float
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start: float
+
+
+class WindEstimateConfig(Struct, frozen=True, kw_only=True):
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    delay: float = 0.0
+    mean_only: bool = False
+    noise_std: float = 0.0
+    seed: int = 0
+    time_constant: float = 0.0
+
+
+class Disturbances(Struct, frozen=True, kw_only=True):
+    aero: ForceFactorsConfig = ForceFactorsConfig()
+    aero_estimate: ForceFactorsConfig = ForceFactorsConfig()
+    controller_wind: WindConfig | None = None
+    jets: JetFaultsConfig = JetFaultsConfig()
+    joints: tuple[JointFault, ...] = ()
+    model_error: ModelError = ModelError()
+    outages: tuple[Outage, ...] = ()
+    pushes: tuple[Push, ...] = ()
+    wind_estimate: WindEstimateConfig | None = None
+
+Engine: TypeAlias = Literal["rust", "jax", "mujoco"]
+
+
+class MissionConfig(Struct, frozen=True, kw_only=True):
+    down: tuple[tuple[float, float], ...] = ()
+    file: str | None = None
+    forward: tuple[tuple[float, float], ...] = ()
+    forward_turbo: tuple[tuple[float, float], ...] = ()
+    pitch_up: tuple[tuple[float, float], ...] = ()
+    up: tuple[tuple[float, float], ...] = ()
+    yaw_left: tuple[tuple[float, float], ...] = ()
+
+
+class OwnController(Struct, frozen=True, kw_only=True):
+    file: str
+    name: str
+
+
+class ActuationConfig(Struct, frozen=True, kw_only=True):
+    drop: float = 0.0
+    jitter: float = 0.0
+    seed: int = 0
+    thrust_delay: float = 0.0
+    torque_delay: float = 0.0
+
+DynamicsBackend: TypeAlias = Literal["tree", "mjx"]
+
+
+class FallConfig(Struct, frozen=True, kw_only=True):
+    com_error: float
+    rotation_error_deg: float
+
+
+class FuelConfig(Struct, frozen=True, kw_only=True):
+    body: str
+    by_thrust: float
+    idle: float
+    mass: float
+    position: tuple[float, float, float]
+
+
+class LegOdometryConfig(Struct, frozen=True, kw_only=True):
+    velocity_time_constant: float
+
+
+class GroundConfig(Struct, frozen=True, kw_only=True):
+    contact_time: float
+    friction: float
+    leg_odometry: LegOdometryConfig | None = None
+    settling: float
+
+
+class InitialConfig(Struct, frozen=True, kw_only=True):
+    base_position: tuple[float, float, float]
+    base_rpy_deg: tuple[float, float, float]
+    base_velocity: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    free_fall_tick: bool = False
+    joint_position: tuple[float, ...]
+    thrust: tuple[float, ...]
+
+Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]
+
+
+class EkfConfig(Struct, frozen=True, kw_only=True):
+    Q: tuple[tuple[float, float], tuple[float, float]] = ((10.0, 1.0), (1.0, 10.0))
+    R: float = 1.0
+
+ThrustFeedback: TypeAlias = Literal["measured", "estimated", "speed"]
+
+
+class IdealJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="ideal"):
+    pass
+
+
+class SecondOrderJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="second_order"):
+    ekf: EkfConfig = EkfConfig()
+    engines: tuple[str, ...] | None = None
+    feedback: ThrustFeedback = "measured"
+    shaft: ShaftConfig | None = None
+
+
+class MeasuredJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="measured"):
+    rate: tuple[tuple[float, ...], ...]
+    throttle: tuple[float, ...]
+    thrust: tuple[float, ...]
+
+
+JetsConfig: TypeAlias = IdealJetsConfig | SecondOrderJetsConfig | MeasuredJetsConfig
+
+AeroKinematics: TypeAlias = Literal["current", "frozen"]
+
+
+class ElasticityConfig(Struct, frozen=True, kw_only=True):
+    damping: float
+    stiffness: float
+
+
+class MotorsConfig(Struct, frozen=True, kw_only=True):
+    damping: float
+    elasticity: ElasticityConfig | None = None
+    friction: float
+    friction_of: dict[str, float] = {}
+    inertia: float
+    load_friction: dict[str, float] = {}
+    time_constant: float = 0.0
+
+
+class SensorConfig(Struct, frozen=True, kw_only=True):
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    delay: float = 0.0
+    drift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gaps: float = 0.0
+    noise_std: float = 0.0
+    period: float = 0.0
+
+
+class TrembleConfig(Struct, frozen=True, kw_only=True):
+    amplitude: float
+    frequency: float
+
+
+class EncoderConfig(Struct, frozen=True, kw_only=True):
+    bias: tuple[float, ...] = ()
+    delay: float = 0.0
+    resolution: float = 0.0
+    tremble: TrembleConfig | None = None
+    velocity_time_constant: float | None = None
+
+
+class ThrustSensorConfig(Struct, frozen=True, kw_only=True):
+    bias: float = 0.0
+    delay: float = 0.0
+    noise_std: float = 0.0
+
+
+class SensorsConfig(Struct, frozen=True, kw_only=True):
+    base_angular_velocity: SensorConfig = SensorConfig()
+    base_linear_velocity: SensorConfig = SensorConfig()
+    base_position: SensorConfig = SensorConfig()
+    base_rotation: SensorConfig = SensorConfig()
+    joints: EncoderConfig = EncoderConfig()
+    seed: int = 0
+    thrust: ThrustSensorConfig = ThrustSensorConfig()
+    wind_preview: float = 0.0
+
+
+class SimulatorConfig(Struct, frozen=True, kw_only=True):
+    actuation: ActuationConfig | None = None
+    aero: AeroConfig
+    duration: float
+    dynamics: DynamicsBackend = "tree"
+    fall: FallConfig
+    fuel: FuelConfig | None = None
+    ground: GroundConfig | None = None
+    initial: InitialConfig
+    integrator: Integrator = "semi_implicit_euler"
+    jets: JetsConfig
+    joint_stops: bool = True
+    kinematics: AeroKinematics = "current"
+    lever_arm: LeverArm = "rotated"
+    motors: MotorsConfig | None = None
+    sensors: SensorsConfig | None = None
+    substeps: int = 1
+    time_step: float
+
+
+class ScenarioConfig(Struct, frozen=True, kw_only=True):
+    controller: ControllerSection
+    description: str = ""
+    disturbances: Disturbances = Disturbances()
+    engine: Engine = "rust"
+    mission: MissionConfig
+    own_controller: OwnController | None = None
+    robot: str
+    simulator: SimulatorConfig
+    title: str = ""
+    wind: WindConfig

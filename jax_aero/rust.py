@@ -27,7 +27,7 @@ import functools
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -93,7 +93,6 @@ __all__ = [
     "check_config",
     "check_table",
     "config_digest",
-    "config_keys",
     "dynamics",
     "figures",
     "fly",
@@ -823,8 +822,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     ConfigError
         If a file or value is invalid; it has file, key, value, what was expected and suggestions as attributes.
     """
-    found: Config = json.loads(_core.load_config(find("experiments", path), _changes(overrides or {})))
-    return found
+    return _parsed(_core.load_config(find("experiments", path), _changes(overrides or {})))
 
 
 def check_config(config: Mapping[str, Any]) -> None:
@@ -834,14 +832,12 @@ def check_config(config: Mapping[str, Any]) -> None:
 
 def resolve_config(config: Mapping[str, Any]) -> Config:
     """Return a configuration with every default; raise `ConfigError` for keys and values that no flight may have."""
-    found: Config = json.loads(_core.resolve_config(_to_json(config)))
-    return found
+    return _parsed(_core.resolve_config(_to_json(config)))
 
 
 def set_keys(config: Mapping[str, Any], changes: Mapping[str, Any]) -> Config:
     """Return a configuration with dotted keys set as by `load_config`, without a check of the result."""
-    found: Config = json.loads(_core.set_keys(_to_json(config), _changes(changes)))
-    return found
+    return _parsed(_core.set_keys(_to_json(config), _changes(changes)))
 
 
 def path_keys(config: Mapping[str, Any]) -> list[str]:
@@ -851,23 +847,17 @@ def path_keys(config: Mapping[str, Any]) -> list[str]:
 
 def load_aero(path: str | PathLike[str]) -> Config:
     """Read an aerodynamic model's configuration, by its name in `configs/aero` or the path of a file."""
-    return _load_table("aero", path)
+    return _parsed(_core.load_table("aero", find("aero", path)))
 
 
 def load_controller(path: str | PathLike[str]) -> Config:
     """Read a controller's configuration, by its name in `configs/control` or the path of a file."""
-    return _load_table("control", path)
-
-
-def _load_table(kind: str, path: str | PathLike[str]) -> Config:
-    found: Config = json.loads(_core.load_table(kind, find(kind, path)))
-    return found
+    return _parsed(_core.load_table("control", find("control", path)))
 
 
 def resolve_aero(aero: Mapping[str, Any]) -> Config:
     """Return an aerodynamic model's configuration with every default, as `resolve_config`."""
-    found: Config = json.loads(_core.resolve_aero(_to_json(aero)))
-    return found
+    return _parsed(_core.resolve_aero(_to_json(aero)))
 
 
 def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
@@ -878,26 +868,22 @@ def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
 
 def read_toml(path: str | PathLike[str]) -> Config:
     """Read a TOML file, without a check of its keys."""
-    found: Config = json.loads(_core.read_toml(path))
-    return found
+    return _parsed(_core.read_toml(path))
 
 
 def read_table(path: str | PathLike[str], schema: Mapping[str, Any], changes: Mapping[str, Any]) -> Config:
     """Read a TOML file with its base files, set dotted keys as by `load_config`, and check it by a JSON Schema."""
-    found: Config = json.loads(_core.read_table(path, _changes(changes), json.dumps(schema)))
-    return found
+    return _parsed(_core.read_table(path, _changes(changes), json.dumps(schema)))
 
 
 def check_table(table: Mapping[str, Any], schema: Mapping[str, Any], folder: str | PathLike[str]) -> Config:
     """Return a table whose paths start at `folder`, as `read_table` does that of a file."""
-    found: Config = json.loads(_core.check_table(_to_json(table), folder, json.dumps(schema)))
-    return found
+    return _parsed(_core.check_table(_to_json(table), folder, json.dumps(schema)))
 
 
 def schemas() -> dict[str, dict[str, Any]]:
     """Return the JSON Schemas of the crate's configuration files, by folder of `configs/`."""
-    found: dict[str, dict[str, Any]] = json.loads(_core.schemas())
-    return found
+    return _parsed(_core.schemas())
 
 
 @dataclass(frozen=True)
@@ -1098,14 +1084,6 @@ def recorded_reference(path: str | PathLike[str]) -> Array:
     return _core.recorded_reference(path)
 
 
-def config_keys(config: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield every dotted key of a configuration, including those of tables."""
-    for name, value in config.items():
-        yield prefix + name
-        if isinstance(value, Mapping):
-            yield from config_keys(value, f"{prefix}{name}.")
-
-
 def _measurement(raw: _core._Measurement) -> Measurement:
     numbers = raw["thrust"], raw["wind"], raw["foot_wrenches"], raw["shaft_speed"]
     return Measurement(raw["time"], State(*raw["state"]), *numbers)
@@ -1126,6 +1104,11 @@ def _tick(raw: dict[str, Any]) -> Tick:
         contact=None if contact is None else ContactTick(**contact),
         **raw,
     )
+
+
+def _parsed(text: str) -> Config:
+    found: Config = json.loads(text)
+    return found
 
 
 def _array(value: ArrayLike) -> Array:

@@ -9,8 +9,8 @@ Equation M7 of `docs/model`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -28,27 +28,19 @@ else:
 T = TypeVar("T")
 Tree = TypeVar("Tree")
 
-Static: TypeAlias = Annotated[T, "static"]
-"""A field of a `pytree` that is structure, not a leaf: a name, switch or length, fixed at compilation."""
-
 COMPUTED_FROM = ("time_step",)
 """Fields, anywhere in a tree, from which others were computed; a class adds its own in `computed_from`."""
 
 
-@dataclass_transform(frozen_default=True)
+def static(*, default: Any = MISSING) -> Any:
+    """Return a field of a `pytree` that is structure, not a leaf: a name, switch or length, fixed at compilation."""
+    return field(default=default, metadata={"static": True})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(static,))
 def pytree(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass whose fields are leaves or subtrees, except those annotated `Static[...]`."""
-    made: Any = dataclass(frozen=True)(cls)
-    names = [item.name for item in fields(made)]
-    static = [item.name for item in fields(made) if _is_static(item.type)]
-    jax.tree_util.register_dataclass(made, [name for name in names if name not in static], static)
-    decorated: type[T] = made
-    return decorated
-
-
-def _is_static(annotation: Any) -> bool:
-    """Return whether a field is structure; with postponed annotations its type is a string."""
-    return "static" in getattr(annotation, "__metadata__", ()) or str(annotation).startswith("Static[")
+    """Make a frozen dataclass whose fields are leaves or subtrees, except those that are `static()`."""
+    return jax.tree_util.register_dataclass(dataclass(frozen=True)(cls))
 
 
 def leaf(value: Any) -> Shaped[Array, "..."]:

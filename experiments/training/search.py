@@ -48,15 +48,16 @@ class Range(tables.Table, frozen=True):
     log: bool = False
     """Whether the search is uniform in the logarithm."""
 
-    def __post_init__(self) -> None:
+    def check(self, key: str) -> None:
+        """Refuse the range of this key if it is neither choices nor an interval."""
         numbers = [number is not None for number in (self.low, self.high)]
         if any(numbers) if self.choices is not None else not all(numbers):
-            raise ConfigError.of("", None, "choices, or low and high, perhaps log")
+            raise ConfigError.of(key, plain.to_table(self), "choices, or low and high, perhaps log")
         if self.low is not None and self.high is not None:
             if not self.low < self.high:
-                raise ConfigError.of("low", self.low, f"a number below high, {self.high:g}")
+                raise ConfigError.of(f"{key}.low", self.low, f"a number below high, {self.high:g}")
             if self.log and not self.low > 0.0:
-                raise ConfigError.of("low", self.low, "a number above 0, as its logarithm is searched")
+                raise ConfigError.of(f"{key}.low", self.low, "a number above 0, as its logarithm is searched")
 
 
 class SearchConfig(tables.Table, frozen=True):
@@ -74,6 +75,8 @@ class SearchConfig(tables.Table, frozen=True):
     """Ranges by dotted key of the training file."""
 
     def __post_init__(self) -> None:
+        for key, one in self.space.items():
+            one.check(f"space.{key}")
         if self.folds_run > self.folds:
             raise ConfigError.of("folds_run", self.folds_run, f"at most {self.folds}, which is `folds`")
 

@@ -16,7 +16,7 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.aero.sphere_cylinder import sphere_cylinder_model
 from jax_aero.body.robot import RobotModel
-from jax_aero.types import Array, Static, leaf, pytree
+from jax_aero.types import Array, leaf, pytree, static
 
 
 @pytree
@@ -35,7 +35,7 @@ class NetworkModel:
     network: Network
     air_density: Float[Array, ""]
     """[kg/m³]."""
-    precision: Static[config.Precision]
+    precision: config.Precision = static()
     """Precision of the network's weighted sums: single, or that of the flight."""
 
     def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:

@@ -28,7 +28,7 @@ from jax_aero.body.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.body.mirror import ODD_JOINTS, opposite_indices
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotate, rotate_back, safe_norm
-from jax_aero.types import Array, Kinematics, Static, pytree, with_dtype
+from jax_aero.types import Array, Kinematics, pytree, static, with_dtype
 
 Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
 Frame: TypeAlias = Literal["base", "link", "wind"]
@@ -76,11 +76,11 @@ class Mirror:
 class Network:
     """Network of link force areas, built by `init_network` or read by `network_card.load_network`."""
 
-    blocks: Static[tuple[Block, ...]]
-    frame: Static[Frame]
-    layout: Static[Layout]
-    activation: Static[Activation]
-    joints: Static[tuple[int, ...]]
+    blocks: tuple[Block, ...] = static()
+    frame: Frame = static()
+    layout: Layout = static()
+    activation: Activation = static()
+    joints: tuple[int, ...] = static()
     """Indices of the input joints in the robot's joint vector."""
     layers: tuple[Layer, ...]
     scale: Float[Array, " y"]

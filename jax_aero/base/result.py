@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero.base.places import did_you_mean
+
+if TYPE_CHECKING:
+    from jax_aero.rust import Robot
 
 Outcome = Literal["completed", "off_course", "descended", "descending", "crashed", "fell", "diverged"]
 """How a flight ended."""
@@ -80,22 +83,7 @@ def is_repeated(signal: str, log: Mapping[str, NDArray[np.float64]]) -> bool:
     return signal in REPEATED and log[signal].tobytes() == log[REPEATED[signal]].tobytes()
 
 
-class RobotNames(Protocol):
-    """The names of a robot that label a log; `jax_aero.rust.Robot` has them."""
-
-    @property
-    def joint_names(self) -> Sequence[str]: ...  # noqa: D102
-    @property
-    def joint_groups(self) -> Mapping[str, Sequence[str]]: ...  # noqa: D102
-    @property
-    def aero_link_names(self) -> Sequence[str]: ...  # noqa: D102
-    @property
-    def jet_names(self) -> Sequence[str]: ...  # noqa: D102
-    @property
-    def foot_names(self) -> Sequence[str]: ...  # noqa: D102
-
-
-def labels_of(robot: RobotNames) -> dict[str, Sequence[str]]:
+def labels_of(robot: Robot) -> dict[str, Sequence[str]]:
     """Return the names of the entries along every dimension of a signal (`rust.signals`) except time."""
     return {
         "xyz": ["x", "y", "z"],

@@ -20,13 +20,11 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, TypeVar
+from typing import Annotated, Any, TypeAlias, TypeVar, cast
 
 import msgspec
-from msgspec import inspect
 
 from jax_aero import rust
-from jax_aero.base.keys import join
 from jax_aero.base.terminal import ConfigError
 
 T = TypeVar("T")
@@ -125,42 +123,20 @@ def _in_order_of(written: Any, plain: Any) -> Any:
 def _typed(plain: Mapping[str, Any], kind: type[T], origin: str) -> T:
     """Return a table that matches the schema as its type, whose own checks may refuse it."""
     try:
-        built: T = _build(plain, inspect.type_info(kind), "")
-    except ConfigError as refusal:
-        raise refusal.in_file(origin) from None
-    return built
+        return msgspec.convert(plain, kind, dec_hook=_existing_file)
+    except msgspec.ValidationError as refusal:
+        text, _, place = str(refusal).partition(" - at `$")
+        expected = text.replace("Expected `str` matching regex", "a text that matches")
+        key, value = place.partition("[...]")[0].strip(".`"), cast(Any, plain)  # of an entry by name: its table
+        for part in re.findall(r"[^.\[\]]+", key):
+            value = value[int(part)] if isinstance(value, list) else value[part]
+        cause = refusal.__cause__
+        own = cause.in_table(key, value) if isinstance(cause, ConfigError) else ConfigError.of(key, value, expected)
+        raise own.in_file(origin) from None
 
 
-def _build(value: Any, kind: inspect.Type, key: str) -> Any:
-    """Return a value of a table as its type; `key` is its place."""
-    match kind:
-        case inspect.UnionType():
-            others = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
-            if len(others) == 1:
-                return _build(value, others[0], key)
-            is_number = type(value) is int and any(isinstance(one, inspect.FloatType) for one in others)
-            return float(value) if is_number else value
-        case inspect.StructType():
-            types = {field.name: field.type for field in kind.fields}
-            named = zip(types, value, strict=True) if kind.array_like else value.items()
-            parts = {name: _build(part, types[name], join(key, name)) for name, part in named}
-            try:
-                return kind.cls(**parts)
-            except ConfigError as reason:
-                raise reason.in_table(key, value) from None
-        case inspect.DictType():
-            return {name: _build(part, kind.value_type, join(key, name)) for name, part in value.items()}
-        case inspect.TupleType():
-            pairs = enumerate(zip(value, kind.item_types, strict=True))
-            return tuple(_build(part, each, f"{key}[{index}]") for index, (part, each) in pairs)
-        case inspect.VarTupleType():
-            return tuple(_build(part, kind.item_type, f"{key}[{index}]") for index, part in enumerate(value))
-        case inspect.FloatType():
-            return float(value)
-        case inspect.StrType(pattern=str(pattern)) if not re.fullmatch(pattern, value):
-            raise ConfigError.of(key, value, f"a text that matches {pattern}")
-        case inspect.CustomType():
-            if not (path := Path(value)).is_file():
-                raise ConfigError.of(key, value, "the path of a file")
-            return path
-    return value
+def _existing_file(kind: Any, value: Any) -> Path:
+    """Return the path of a file, the only type here that msgspec does not know."""
+    if kind is not Path or not Path(value).is_file():
+        raise ConfigError.of("", value, "the path of a file")
+    return Path(value)

@@ -75,6 +75,16 @@ class ConfigError(Refused):
         return self._of_text(f"{key}.{self.key}" if key else self.key, self.value or "", expected)
 
 
+def missing_package(what: str, missing: ModuleNotFoundError, extras: str) -> str:
+    """Return the message about a package that is not installed: what needs it, and the extras that bring it."""
+    return f"{what} needs the package `{package_of(missing)}`: pip install 'jax-aero[{extras}]'"
+
+
+def package_of(missing: ModuleNotFoundError) -> str:
+    """Return the package of a module that is not there."""
+    return (missing.name or "").partition(".")[0]
+
+
 def one_line(reason: Exception) -> str:
     """Return an error's message in one line; for system errors, file and reason without the error number."""
     return f"{reason.filename}: {reason.strerror}" if isinstance(reason, OSError) and reason.filename else str(reason)

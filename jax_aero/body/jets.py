@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from jax_aero.body.robot import ENGINE_KEYS, RobotModel
 from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, SecondOrderJetsConfig, ShaftConfig
-from jax_aero.types import Array, Static, leaf, pytree
+from jax_aero.types import Array, leaf, pytree, static
 
 MIN_INPUT_GAIN = 1e-9
 """Input gain below which the throttle loop holds the throttle, since the throttle has no effect [N/s² per %]."""
@@ -139,7 +139,7 @@ class SecondOrderJets:
     """Process noise `Q` of the estimator."""
     r: Float[Array, ""]
     """Measurement noise `R` of the estimator."""
-    feedback_is_estimated: Static[bool]
+    feedback_is_estimated: bool = static()
     """Whether the flight controller receives the estimated instead of the true thrust."""
 
     def start(self, thrust: Float[Array, " j"]) -> JetsState:

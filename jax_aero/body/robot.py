@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import rust
-from jax_aero.types import Array, Static, pytree
+from jax_aero.types import Array, pytree, static
 
 ENGINE_KEYS = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu", "c", "throttle_min", "throttle_max")
 """Coefficients of the second-order engine model, in the order of `RobotModel.engines`."""
@@ -24,10 +24,10 @@ ENGINE_KEYS = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu"
 class Jets:
     """Thrusters, jets or rotors: a force along a fixed axis of a frame, at its origin, and a moment about it."""
 
-    names: Static[tuple[str, ...]]
-    bodies: Static[tuple[int, ...]]
+    names: tuple[str, ...] = static()
+    bodies: tuple[int, ...] = static()
     """Body that carries each jet."""
-    engines: Static[tuple[str, ...]]
+    engines: tuple[str, ...] = static()
     """Name of each jet's engine in `RobotModel.engines`."""
     rotations: Float[Array, "j 3 3"]
     """`body_from_frame`."""
@@ -52,10 +52,10 @@ class Jets:
 class AeroLinks:
     """Links with aerodynamic forces, in the order of every aerodynamic table."""
 
-    names: Static[tuple[str, ...]]
-    bodies: Static[tuple[int, ...]]
+    names: tuple[str, ...] = static()
+    bodies: tuple[int, ...] = static()
     """Body that carries each link."""
-    is_sphere: Static[tuple[bool, ...]]
+    is_sphere: tuple[bool, ...] = static()
     rotations: Float[Array, "L 3 3"]
     """`body_from_link`."""
     positions: Float[Array, "L 3"]
@@ -81,16 +81,16 @@ class AeroLinks:
 class RobotModel:
     """A robot. Body 0 is the floating base; joint `i` moves body `i + 1`; ancestors come before descendants."""
 
-    name: Static[str]
-    parent: Static[tuple[int, ...]]
+    name: str = static()
+    parent: tuple[int, ...] = static()
     """(nb,) parent of each body; −1 for the base."""
-    body_names: Static[tuple[str, ...]]
-    joint_names: Static[tuple[str, ...]]
-    joint_is_prismatic: Static[tuple[bool, ...]]
+    body_names: tuple[str, ...] = static()
+    joint_names: tuple[str, ...] = static()
+    joint_is_prismatic: tuple[bool, ...] = static()
     """Whether each joint translates its child along the axis instead of rotating it; its units are m and N."""
-    joint_groups: Static[tuple[tuple[str, tuple[int, ...]], ...]]
+    joint_groups: tuple[tuple[str, tuple[int, ...]], ...] = static()
     """Groups of joints as (name, indices); together they contain every joint once, in order."""
-    source: Static[str]
+    source: str = static()
     """Path of the TOML file, also used to build the MuJoCo model."""
     masses: Float[Array, " nb"]
     """Masses [kg]."""

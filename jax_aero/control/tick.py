@@ -49,7 +49,7 @@ from jax_aero.control.measurement import Measurement, Reading
 from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms, update_model
-from jax_aero.types import Array, Setpoint, State, Static, leaf, leaves, pytree
+from jax_aero.types import Array, Setpoint, State, leaf, leaves, pytree, static
 
 
 class Switches(NamedTuple):
@@ -75,7 +75,7 @@ class Switches(NamedTuple):
 class MomentumController:
     """The flight controller, a `Controller`: every number is a leaf, the switches are structure."""
 
-    switches: Static[Switches]
+    switches: Switches = static()
     aero: AeroModel
     """The controller's aerodynamic model."""
     rate_feedback: Float[Array, "6"]

@@ -22,7 +22,7 @@ from jax_aero.config import ActuationConfig
 from jax_aero.control.measurement import Measurement
 from jax_aero.sim.disturbance import Disturbance
 from jax_aero.sim.plant import Acting
-from jax_aero.types import Array, Static, pytree
+from jax_aero.types import Array, pytree, static
 
 STREAM = 3
 
@@ -36,7 +36,7 @@ class Actuation(Disturbance):
 
     lag: Int[Array, "ticks 2"]
     """Delay of thrust rates and torques of a tick [physics steps]; `LOST` if lost."""
-    ticks: Static[int]
+    ticks: int = static()
     """Commands that can be on their way: ticks of the greatest delay plus one."""
 
     @property

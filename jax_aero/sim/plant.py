@@ -43,7 +43,7 @@ from jax_aero.config import (
     SimulatorConfig,
 )
 from jax_aero.sim.jet_faults import faulty_jets
-from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, State, Static, leaf, pytree
+from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, State, leaf, pytree, static
 
 Result = TypeVar("Result")
 P = ParamSpec("P")
@@ -91,12 +91,12 @@ class Plant:
     """Ratio of each jet's force to its thrust; `None` if they are equal."""
     time_step: Float[Array, ""]
     """Time step [s]."""
-    lever_arm: Static[LeverArm]
-    integrator: Static[Integrator]
-    has_stops: Static[bool]
+    lever_arm: LeverArm = static()
+    integrator: Integrator = static()
+    has_stops: bool = static()
     """Whether joints have stops."""
-    substeps: Static[int]
-    backend: Static[DynamicsBackend]
+    substeps: int = static()
+    backend: DynamicsBackend = static()
 
 
 class PlantState(NamedTuple):

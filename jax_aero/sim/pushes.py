@@ -17,14 +17,14 @@ from jax_aero.config import Push
 from jax_aero.control.measurement import Measurement
 from jax_aero.sim.disturbance import Disturbance
 from jax_aero.sim.plant import Acting, Wrenches
-from jax_aero.types import Array, Static, leaf, pytree
+from jax_aero.types import Array, leaf, pytree, static
 
 
 @pytree
 class Pushes(Disturbance):
     """Pushes of a flight. The state are the times until their starts [s], negative after it."""
 
-    bodies: Static[tuple[int, ...]]
+    bodies: tuple[int, ...] = static()
     forces: Float[Array, "p 3"]
     """At the bodies' centres of mass [N], inertial axes."""
     moments: Float[Array, "p 3"]

@@ -17,7 +17,7 @@ from jax_aero.sim.jet_faults import FaultyJets
 from jax_aero.sim.outcome import FallLimits
 from jax_aero.sim.plant import Plant
 from jax_aero.sim.wind import Wind
-from jax_aero.types import Array, Static, pytree, with_dtype
+from jax_aero.types import Array, pytree, static, with_dtype
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ class Scenario:
     disturbances: Disturbances
     n_ticks: Int[Array, ""]
     """Number of ticks after the one at time zero."""
-    precision: Static[str]
+    precision: str = static()
     """Name of the floating-point type of all numbers, so that its change cannot go unnoticed."""
 
     @property

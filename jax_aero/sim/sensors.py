@@ -27,7 +27,7 @@ from jax_aero.control.measurement import Measurement, Reading
 from jax_aero.control.preview import Preview
 from jax_aero.sim.disturbance import Disturbance, Moment
 from jax_aero.sim.wind import wind_velocity
-from jax_aero.types import Array, State, Static, join, leaf, pytree
+from jax_aero.types import Array, State, join, leaf, pytree, static
 
 STREAM = 2
 
@@ -64,7 +64,7 @@ class Sensors(Disturbance):
     """Times ahead at which the controller receives the true wind, from zero on [s]; `None` without a preview."""
     time_step: Float[Array, ""]
     """Time step [s]."""
-    line: Static[int]
+    line: int = static()
     """Length of the delay line: greatest age plus one [ticks]."""
 
     @property

@@ -2,9 +2,9 @@
 
     L̇ = Σ_i T_i (a_i ; r_i × a_i) + Σ_j (f_j ; r_j × f_j) − m g e₃    r: arm from the centre of mass
 
-Differentiation along q̇ gives M50 to M53 of `docs/model`: A_T from the change of the thrusts, Λ_T from the change of
+Differentiation along q̇ gives M50 to M52 of `docs/model`: A_T from the change of the thrusts, Λ_T from the change of
 the jets' positions and directions, and Λ_a from the change of the points at which the link forces act, with the forces
-held constant. The remainder is the change of the link forces themselves, which the paper neglects: `force_rate`.
+held constant. The change of the link forces themselves is neglected.
 
 Equations M9, M18, M27 and M56 of `docs/model`.
 """
@@ -55,23 +55,6 @@ class Terms(NamedTuple):
     """(6, n) Λ_a."""
     momentum_rate: Array
     """(6,) L̇ [N, N m]."""
-
-
-class ForceRate(NamedTuple):
-    """Parts of L̈ [N/s, N m/s], (6,) each; the last three are what the paper's controller neglects."""
-
-    thrust_rate: Array
-    """A_T Ṫ."""
-    lambda_t: Array
-    """Λ_T ν."""
-    lambda_a: Array
-    """Λ_a ν."""
-    attitude: Array
-    """Change of link forces due to rotation of the links and the resulting motion: ∂f/∂q ν."""
-    acceleration: Array
-    """Change of link forces due to acceleration of the links: ∂f/∂ν ν̇."""
-    wind: Array
-    """Change of link forces due to change of the wind: ∂f/∂w ẇ."""
 
 
 class MomentumModel:
@@ -176,45 +159,6 @@ class MomentumModel:
             self.momentum_rate,
         ]
         return self.function("terms", outputs)
-
-    def force_rate(
-        self,
-        base_position: ArrayLike,
-        base_rotation: ArrayLike,
-        joint_position: ArrayLike,
-        velocity: ArrayLike,
-        thrust: ArrayLike,
-        wind: ArrayLike,
-        *,
-        acceleration: ArrayLike,
-        thrust_rate: ArrayLike,
-        wind_rate: ArrayLike,
-    ) -> ForceRate:
-        """Return the parts of L̈ at one state with the rates ν̇, Ṫ and ẇ.
-
-        Several states can be given as columns; the parts then have one column for each.
-        """
-        state = (base_position, base_rotation, joint_position, velocity, thrust, wind)
-        parts = self._force_rate(*state, acceleration, thrust_rate, wind_rate)
-        return ForceRate(*(np.array(part.full()).squeeze() for part in parts))
-
-    @cached_property
-    def _force_rate(self) -> Any:
-        tree = self.tree
-        nu, wind_rate = tree.velocity, ca.SX.sym("w_dot", 3)
-        acceleration = ca.SX.sym("nu_dot", nu.numel())
-        thrust_rate = ca.SX.sym("T_dot", self.thrust.numel())
-        jet = ca.jtimes(self._jet_wrench, tree.q, nu)
-        held = self._with_forces(ca.jtimes(self._held_wrench, tree.q, nu))
-        parts = [
-            ca.jtimes(self._jet_wrench, self.thrust, thrust_rate),
-            jet,
-            held,
-            ca.jtimes(self.momentum_rate, tree.q, nu) - jet - held,
-            ca.jtimes(self.momentum_rate, nu, acceleration),
-            ca.jtimes(self.momentum_rate, self.wind, wind_rate),
-        ]
-        return self.function("force_rate", parts, [acceleration, thrust_rate, wind_rate])
 
 
 def _wrench(force: SX, arm: SX, couple: SX | float = 0.0) -> SX:

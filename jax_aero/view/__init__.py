@@ -13,8 +13,8 @@ import importlib
 from collections.abc import Iterable
 from pathlib import Path
 
-from jax_aero.base import extras
 from jax_aero.base.terminal import Refused as Refused
+from jax_aero.base.terminal import missing_package
 
 
 def require(modules: Iterable[str], purpose: str, extra: str = "view") -> None:
@@ -23,7 +23,7 @@ def require(modules: Iterable[str], purpose: str, extra: str = "view") -> None:
         try:
             importlib.import_module(module)
         except ModuleNotFoundError as missing:
-            raise Refused(extras.missing_package(purpose, missing, extra)) from None
+            raise Refused(missing_package(purpose, missing, extra)) from None
 
 
 def check_out(out: Path, *suffixes: str) -> None:

@@ -5,13 +5,14 @@ The colours are from the palette of Okabe and Ito, which colour-blind readers ca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from jax_aero.body.mesh import Mesh, revolve
+from jax_aero.body.mesh import Mesh, box, revolve
 from jax_aero.body.urdf import Vector
 from jax_aero.view.recording import Instant, Recording
 from jax_aero.view.shapes import Look, Role, Shape, rotation_onto
@@ -59,22 +60,6 @@ class Scales:
         return float(power * max(step for step in (1.0, 2.0, 5.0) if step <= 1.0001 * wanted / power))
 
 
-class PlacedShape(NamedTuple):
-    """Poses: (n, 3) positions [m] and (n, 3, 3) rotations, inertial axes."""
-
-    positions: Vector
-    rotations: Vector
-
-
-def place(shapes: Sequence[Shape], instant: Instant) -> PlacedShape:
-    """Return positions and rotations of shapes at an instant."""
-    bodies = [shape.body for shape in shapes]
-    offsets = np.array([shape.body_from_shape.position for shape in shapes])
-    turns = np.array([shape.body_from_shape.rotation for shape in shapes])
-    rotations = instant.body_rotations[bodies]
-    return PlacedShape(instant.body_positions[bodies] + np.einsum("nij,nj->ni", rotations, offsets), rotations @ turns)
-
-
 def force_arrows(look: Look, instant: Instant, scales: Scales) -> Vector:
     """Return tail and tip of the arrow of each link's aerodynamic force, at its point of action, (links, 2, 3) [m]."""
     if not look.links:
@@ -85,27 +70,9 @@ def force_arrows(look: Look, instant: Instant, scales: Scales) -> Vector:
     return np.stack([tails, tails + scales.force * instant.aero_force], axis=1)
 
 
-class Plumes(NamedTuple):
-    """Cones of exhaust, one per jet: nozzle [m], direction as z axis, length [m] proportional to thrust."""
-
-    positions: Vector
-    rotations: Vector
-    lengths: Vector
-
-
 PLUME_RADIUS = 0.042  # m
+GHOST_OPACITY, PLUME_OPACITY = 0.35, 0.85
 OVERHEAD = 0.82  # m, height of the wind's arrow above the centre of mass
-
-
-def plumes(look: Look, instant: Instant, scales: Scales) -> Plumes:
-    """Return the exhaust of every jet."""
-    positions, rotations = [], []
-    for jet in look.jets:
-        body_rotation = instant.body_rotations[jet.body]
-        positions.append(instant.body_positions[jet.body] + body_rotation @ jet.position)
-        rotations.append(rotation_onto(body_rotation @ jet.axis))
-    lengths = scales.thrust * np.maximum(instant.thrust, 0.0)
-    return Plumes(np.reshape(positions, (-1, 3)), np.reshape(rotations, (-1, 3, 3)), lengths)
 
 
 def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
@@ -118,24 +85,6 @@ def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
     return np.stack([above - half, above + half])
 
 
-class Arrow(NamedTuple):
-    """Unit vector, length [m], and length and radius of the head [m]."""
-
-    axis: Vector
-    length: float
-    head: float
-    head_radius: float
-
-
-def arrow(ends: Vector, radius: float) -> Arrow | None:
-    """Return the arrow of a radius [m] between two points, (2, 3) [m]; `None` if it is shorter than thick."""
-    along = ends[1] - ends[0]
-    length = float(np.linalg.norm(along))
-    if length < 2.0 * radius:
-        return None
-    return Arrow(along / length, length, min(5.0 * radius, 0.6 * length), 2.3 * radius)
-
-
 def path(recording: Recording, name: str, until: float) -> Vector:
     """Return points at least 5 cm apart of a signal's path over the last 20 s before `until` [s], (n, 3) [m]."""
     first, last = np.searchsorted(recording.signals["time"], [until - 20.0, until])
@@ -145,11 +94,6 @@ def path(recording: Recording, name: str, until: float) -> Vector:
         if np.linalg.norm(point - chosen[-1]) > 0.05:
             chosen.append(point)
     return np.reshape(chosen, (-1, 3))
-
-
-def cone(segments: int = 24) -> Mesh:
-    """Return a cone: base of radius 1 at the origin, tip at height 1."""
-    return revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)], segments)
 
 
 Viewpoint = Literal["chase", "side"]
@@ -183,3 +127,125 @@ def camera_at(recording: Recording, time: float, viewpoint: Viewpoint, distance:
 def focal_length(height: int) -> float:
     """Return the focal length of a picture of this height [pixels]."""
     return float(0.5 * height / np.tan(0.5 * np.deg2rad(FIELD_OF_VIEW_DEG)))
+
+
+class Solid(NamedTuple):
+    """A body of a picture: the points `position + stretch @ x` of a mesh [m, inertial axes]."""
+
+    mesh: Mesh
+    position: Vector
+    stretch: Vector
+    colour: Colour
+    opacity: float = 1.0
+    has_shadow: bool = False
+
+
+class Line(NamedTuple):
+    """A line through points, (n, 3) [m], of a radius [m]."""
+
+    points: Vector
+    colour: Colour
+    radius: float
+
+
+def shadow_of(solid: Solid) -> Solid:
+    """Return a solid along the sunlight on the ground, with negligible thickness and just above it."""
+    flatten = np.array([[1.0, 0.0, -SUN[0] / SUN[2]], [0.0, 1.0, -SUN[1] / SUN[2]], [0.0, 0.0, 1e-3]])
+    lifted = flatten @ solid.position + np.array([0.0, 0.0, 0.004])
+    return solid._replace(position=lifted, stretch=flatten @ solid.stretch, colour=SHADOW)
+
+
+class Scene:
+    """What the pictures of a flight show, of a size [pixels]; a ghost is another flight, drawn translucent.
+
+    `offscreen.Studio` and `painter.Painter` draw it; they are context managers.
+    """
+
+    def __init__(
+        self, recording: Recording, width: int, height: int, ghost: Recording | None = None, segments: int = 48
+    ) -> None:
+        self.recording, self.ghost, self.width, self.height = recording, ghost, width, height
+        self.scales = Scales()
+        bows = np.linspace(-0.5, 0.5, segments // 2 + 1) * np.pi
+        self.cylinder = revolve([(0.0, -0.5), (1.0, -0.5), (1.0, -0.5), (1.0, 0.5), (1.0, 0.5), (0.0, 0.5)], segments)
+        self.cone = revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)], segments)
+        ball = revolve([(max(float(np.cos(bow)), 0.0), float(np.sin(bow))) for bow in bows], segments)
+        units = {"cylinder": self.cylinder, "sphere": ball, "box": box()}
+        flights = [flight for flight in (recording, ghost) if flight is not None]
+        self.meshes = [
+            [_sized(shape) if shape.mesh is not None else units[shape.kind] for shape in flight.look.shapes]
+            for flight in flights
+        ]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is held."""
+
+    def picture(self, time: float, camera: Camera, *, trail: bool = True) -> NDArray[np.uint8]:
+        """Return the picture at a time [s], (height, width, 3), without text."""
+        raise NotImplementedError
+
+    def pixels_per_metre(self, camera: Camera) -> float:
+        """Return the scale of the picture at the distance of the point looked at [pixels/m]."""
+        return focal_length(self.height) / camera.distance
+
+    def bodies(self, time: float) -> Iterator[Solid]:
+        """Yield the shapes of the robot and of the ghost, and the exhaust of every jet, as long as its thrust."""
+        flights = (self.recording, self.ghost)
+        for flight, meshes, is_ghost in zip(flights, self.meshes, (False, True), strict=False):
+            assert flight is not None
+            now = flight.at(time)
+            for shape, mesh in zip(flight.look.shapes, meshes, strict=True):
+                rotation = now.body_rotations[shape.body]
+                position = now.body_positions[shape.body] + rotation @ shape.body_from_shape.position
+                stretch = rotation @ shape.body_from_shape.rotation * (shape.size if shape.mesh is None else 1.0)
+                if is_ghost:
+                    yield Solid(mesh, position, stretch, GHOST, GHOST_OPACITY)
+                else:
+                    has_shadow = shape.role != "strut" and bool(position[2] > 0.0)
+                    yield Solid(mesh, position, stretch, ROLES[shape.role], has_shadow=has_shadow)
+        now = self.recording.at(time)
+        for jet, thrust in zip(self.recording.look.jets, now.thrust, strict=True):
+            length = self.scales.thrust * max(float(thrust), 0.0)
+            if length > 1e-3:
+                rotation = now.body_rotations[jet.body]
+                nozzle = now.body_positions[jet.body] + rotation @ jet.position
+                stretch = rotation_onto(rotation @ jet.axis) * [PLUME_RADIUS, PLUME_RADIUS, length]
+                yield Solid(self.cone, nozzle, stretch, PLUME, PLUME_OPACITY)
+
+    def arrows(self, time: float) -> Iterator[Solid]:
+        """Yield the arrows of the links' aerodynamic forces and of the wind."""
+        now = self.recording.at(time)
+        for ends in force_arrows(self.recording.look, now, self.scales):
+            yield from self._arrow(ends, 0.0105, FORCE)
+        if (wind := wind_arrow(now, self.scales)) is not None:
+            yield from self._arrow(wind, 0.03, WIND)
+
+    def _arrow(self, ends: Vector, radius: float, colour: Colour) -> Iterator[Solid]:
+        """Yield shaft and head of an arrow of a radius [m], if it is longer than thick."""
+        along = ends[1] - ends[0]
+        length = float(np.linalg.norm(along))
+        if length < 2.0 * radius:
+            return
+        axis, head = along / length, min(5.0 * radius, 0.6 * length)
+        rotation, shaft = rotation_onto(axis), length - head
+        yield Solid(self.cylinder, ends[0] + 0.5 * shaft * axis, rotation * [radius, radius, shaft], colour)
+        yield Solid(self.cone, ends[1] - head * axis, rotation * [2.3 * radius, 2.3 * radius, head], colour)
+
+    def lines(self, time: float, *, trail: bool) -> Iterator[Line]:
+        """Yield the cross at the set-point of the centre of mass and, with `trail`, its reference and its path."""
+        now = self.recording.at(time)
+        for axis in 0.28 * np.eye(3):
+            yield Line(now.com_setpoint + np.array([-axis, axis]), REFERENCE, 0.006)
+        if trail:
+            yield Line(path(self.recording, "com_setpoint", time + AHEAD), REFERENCE, 0.006)
+            yield Line(path(self.recording, "com_position", time), TRAIL, 0.009)
+
+
+def _sized(shape: Shape) -> Mesh:
+    """Return the mesh of a shape in its size; of a mirrored one the faces turn, to be seen from outside."""
+    assert shape.mesh is not None
+    order = 1 if np.prod(shape.size) > 0.0 else -1
+    return Mesh(shape.mesh.vertices * shape.size, shape.mesh.faces[:, ::order])

@@ -13,25 +13,28 @@ import msgspec
 
 from jax_aero import rust
 from jax_aero.view.recording import Recording, entries_of
-from jax_aero.view.topics import WORLD, Topic, body_poses, named, setpoints, wrenches, xyzw
+from jax_aero.view.topics import WORLD, Content, Topic, contents, force_and_torque, named, xyzw
 
 encode = msgspec.json.Encoder().encode
 """Function from a document to its JSON: every bit of a number, and null for NaN."""
 
-Message = Callable[[int, dict[str, int]], Any]
-"""Function from the number of a tick and its time stamp to the message; `None` for no message."""
-
 
 def topics(recording: Recording) -> Iterator[Topic]:
-    """Yield the topics that viewers draw, as far as the signals are there, and one for every signal."""
-    for name, schema, properties, message in itertools.chain(_viewer_topics(recording), _signal_topics(recording)):
+    """Yield the topics that viewers draw, and one for every signal."""
+    log = recording.signals
+    base = Content("/base", "pose", lambda tick: (log["base_position"][tick], log["base_quaternion"][tick]))
+    for content in (*contents(recording), base):
+        schema, properties, message = _form(content, recording)
 
-        def encoded(tick: int, stamp: int, message: Message = message) -> bytes | None:
-            found = message(tick, {"sec": stamp // 10**9, "nsec": stamp % 10**9})
-            return None if found is None else encode(found)
+        def encoded(tick: int, stamp: int, content: Content = content, message: Message = message) -> bytes | None:
+            values = content.at(tick)
+            return None if values is None else encode(message(values, {"sec": stamp // 10**9, "nsec": stamp % 10**9}))
 
-        yield Topic(name, schema, encode(_object(properties, title=schema)), encoded)
+        yield Topic(content.topic, schema, encode(_object(properties, title=schema)), encoded)
 
+
+Message = Callable[[Any, dict[str, int]], Any]
+"""Function from the values and the time stamp of a message to the message."""
 
 NUMBER: dict[str, Any] = {"type": ["number", "null"]}
 TEXT: dict[str, Any] = {"type": "string"}
@@ -63,72 +66,58 @@ WRENCH = {
 }
 
 
-def _viewer_topics(recording: Recording) -> Iterator[tuple[str, str, dict[str, Any], Message]]:
-    """Yield topic, schema, properties of a message, and messages of what viewers draw."""
-    robot, log = recording.robot, recording.signals
-    urdf = {"data": robot.urdf_text}
-    yield "/robot_description", "std_msgs/String", {"data": TEXT}, lambda tick, _: urdf if tick == 0 else None
+def _form(content: Content, recording: Recording) -> tuple[str, dict[str, Any], Message]:
+    """Return schema, properties and messages of a topic."""
+    match content.kind:
+        case "text":
+            return "std_msgs/String", {"data": TEXT}, lambda text, _: {"data": text}
+        case "poses":
+            return "foxglove.FrameTransforms", {"transforms": _list(TRANSFORM)}, _transforms
+        case "pose":
+            return "foxglove.PoseInFrame", POSE, _pose
+        case "joints":
+            names = recording.robot.joint_names
+            properties = {"timestamp": STAMP, "joints": _list(JOINT)}
 
-    positions, rotations = (part.tolist() for part in body_poses(recording))
+            def joints(parts: Any, stamp: dict[str, int]) -> Any:
+                rows = zip(names, *(part.tolist() for part in parts), strict=True)
+                return {"timestamp": stamp, "joints": [dict(zip(JOINT, row, strict=True)) for row in rows]}
 
-    def transforms(tick: int, stamp: dict[str, int]) -> Any:
-        frames = [
-            {
-                "timestamp": stamp,
-                "parent_frame_id": WORLD,
-                "child_frame_id": name,
-                "translation": named("xyz", position),
-                "rotation": xyzw(wxyz),
-            }
-            for name, position, wxyz in zip(robot.body_names, positions[tick], rotations[tick], strict=True)
-        ]
-        return {"transforms": frames}
+            return "foxglove.JointStates", properties, joints
+        case "wrench":
+            return "geometry_msgs/WrenchStamped", WRENCH, _wrench
+    name = content.topic.rpartition("/")[2]
+    signal, entries = rust.signals()[name], [entry or ("value",) for entry in entries_of(name, recording.robot)]
+    number = NUMBER | {"description": f"{signal.meaning} [{signal.unit}]"}
+    properties = _nested(entries, [number] * len(entries), _object)
+    return f"jax_aero.{name}", properties, lambda row, _: _nested(entries, row.tolist())
 
-    yield "/tf", "foxglove.FrameTransforms", {"transforms": _list(TRANSFORM)}, transforms
 
-    def pose(position: Any, wxyz: Any) -> Message:
-        return lambda tick, stamp: {
+def _transforms(frames: Any, stamp: dict[str, int]) -> Any:
+    transforms = [
+        {
             "timestamp": stamp,
-            "frame_id": WORLD,
-            "pose": {"position": named("xyz", position[tick]), "orientation": xyzw(wxyz[tick])},
+            "parent_frame_id": WORLD,
+            "child_frame_id": name,
+            "translation": named("xyz", position),
+            "rotation": xyzw(wxyz),
         }
-
-    yield "/base", "foxglove.PoseInFrame", POSE, pose(log["base_position"], log["base_quaternion"])
-    yield "/setpoint", "foxglove.PoseInFrame", POSE, pose(*setpoints(recording))
-
-    if {"joint_velocity", "joint_torque"} <= log.keys():
-        parts = [log[name].tolist() for name in ("joint_position", "joint_velocity", "joint_torque")]
-
-        def joints(tick: int, stamp: dict[str, int]) -> Any:
-            rows = zip(robot.joint_names, *(part[tick] for part in parts), strict=True)
-            return {"timestamp": stamp, "joints": [dict(zip(JOINT, row, strict=True)) for row in rows]}
-
-        yield "/joint_states", "foxglove.JointStates", {"timestamp": STAMP, "joints": _list(JOINT)}, joints
-
-    def wrench(rows: Any) -> Message:
-        return lambda tick, stamp: {
-            "header": {"stamp": stamp, "frame_id": WORLD},
-            "wrench": {"force": named("xyz", rows[tick, :3]), "torque": named("xyz", rows[tick, 3:])},
-        }
-
-    for name, rows in wrenches(recording).items():
-        yield f"/wrench/{name}", "geometry_msgs/WrenchStamped", WRENCH, wrench(rows)
+        for name, position, wxyz in frames
+    ]
+    return {"transforms": transforms}
 
 
-def _signal_topics(recording: Recording) -> Iterator[tuple[str, str, dict[str, Any], Message]]:
-    """Yield the same for every signal."""
-    for name, signal in rust.signals().items():
-        if name not in recording.signals:
-            continue
-        entries = [entry or ("value",) for entry in entries_of(name, recording.robot)]
-        number = NUMBER | {"description": f"{signal.meaning} [{signal.unit}]"}
-        properties = _nested(entries, [number] * len(entries), _object)
-        rows = recording.rows(name).tolist()
+def _pose(pose: Any, stamp: dict[str, int]) -> Any:
+    position, wxyz = pose
+    return {
+        "timestamp": stamp,
+        "frame_id": WORLD,
+        "pose": {"position": named("xyz", position), "orientation": xyzw(wxyz)},
+    }
 
-        def message(tick: int, _: Any, rows: Any = rows, entries: Any = entries) -> Any:
-            return _nested(entries, rows[tick])
 
-        yield f"/signals/{name}", f"jax_aero.{name}", properties, message
+def _wrench(wrench: Any, stamp: dict[str, int]) -> Any:
+    return {"header": {"stamp": stamp, "frame_id": WORLD}, "wrench": force_and_torque(wrench)}
 
 
 def _nested(entries: Sequence[tuple[str, ...]], values: Sequence[Any], wrap: Callable[[Any], Any] = dict) -> Any:

@@ -15,13 +15,13 @@ import numpy as np
 
 from jax_aero import rust
 from jax_aero.view.recording import Recording, axes_of, entries_of
-from jax_aero.view.topics import WORLD, Topic, body_poses, named, setpoints, wrenches, xyzw
+from jax_aero.view.topics import WORLD, Content, Topic, contents, force_and_torque, named, xyzw
 
 BAG = "metadata.yaml"
 """Name of the file that makes a bag of a folder with an MCAP file."""
 
-Message = Callable[[int, dict[str, int]], Any]
-"""Function from the number of a tick and its time stamp to the message; `None` for no message."""
+Message = Callable[[Any, dict[str, Any]], Any]
+"""Function from the values and the header of a message to the message."""
 
 
 def describe_bag(file: str, counts: Mapping[tuple[str, str], int], end: int) -> str:
@@ -76,95 +76,79 @@ def _part(form: Any, value: Any) -> Any:
 
 def topics(recording: Recording) -> Iterator[Topic]:
     """Yield the topics that viewers draw, as far as the signals are there, and one for every signal."""
-    for name, kind, message, metadata in _topics(recording):
+    odometry = [_odometry(recording)] if "base_velocity" in recording.signals else []
+    for content in (*contents(recording), *odometry):
+        kind, message, metadata = _form(content, recording)
 
-        def encoded(tick: int, stamp: int, message: Message = message, kind: str = kind) -> bytes | None:
-            found = message(tick, {"sec": stamp // 10**9, "nanosec": stamp % 10**9})
-            return None if found is None else encode(kind, found)
+        def encoded(
+            tick: int, stamp: int, content: Content = content, message: Message = message, kind: str = kind
+        ) -> bytes | None:
+            header = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": WORLD}
+            values = content.at(tick)
+            return None if values is None else encode(kind, message(values, header))
 
         definition, _ = _store().generate_msgdef(kind, ros_version=2)
-        yield Topic(name, kind, definition.encode(), encoded, metadata)
+        yield Topic(content.topic, kind, definition.encode(), encoded, metadata)
 
 
-def _topics(recording: Recording) -> Iterator[tuple[str, str, Message, dict[str, str]]]:
-    robot, log = recording.robot, recording.signals
-    urdf = {"data": robot.urdf_text}
-    yield "/robot_description", "std_msgs/msg/String", lambda tick, _: urdf if tick == 0 else None, {}
+def _odometry(recording: Recording) -> Content:
+    """Return pose and velocity of the base, the latter in its own axes."""
+    log = recording.signals
+    i_from_b = rust.rotation_from_wxyz(log["base_quaternion"])
+    parts = [np.einsum("nji,nj->ni", i_from_b, part) for part in np.split(log["base_velocity"], 2, axis=1)]
+    signals = [log["base_position"], log["base_quaternion"], *parts]
+    return Content("/odom", "odometry", lambda tick: [signal[tick] for signal in signals])
 
-    positions, rotations = (part.tolist() for part in body_poses(recording))
 
-    def transforms(tick: int, stamp: dict[str, int]) -> Any:
-        bodies = zip(robot.body_names, positions[tick], rotations[tick], strict=True)
-        return {
-            "transforms": [
-                {
-                    "header": _header(stamp),
-                    "child_frame_id": name,
-                    "transform": {"translation": named("xyz", position), "rotation": xyzw(wxyz)},
+def _form(content: Content, recording: Recording) -> tuple[str, Message, dict[str, str]]:
+    """Return type, messages and metadata of a topic."""
+    robot = recording.robot
+    match content.kind:
+        case "text":
+            return "std_msgs/msg/String", lambda text, _: {"data": text}, {}
+        case "poses":
+            return "tf2_msgs/msg/TFMessage", _transforms, {}
+        case "pose":
+            return "geometry_msgs/msg/PoseStamped", lambda pose, header: {"header": header, "pose": _pose(*pose)}, {}
+        case "odometry":
+
+            def odometry(values: Any, header: dict[str, Any]) -> Any:
+                position, wxyz, linear, angular = values
+                unknown, twist = [0.0] * 36, {"linear": named("xyz", linear), "angular": named("xyz", angular)}
+                return {
+                    "header": header,
+                    "child_frame_id": robot.body_names[0],
+                    "pose": {"pose": _pose(position, wxyz), "covariance": unknown},
+                    "twist": {"twist": twist, "covariance": unknown},
                 }
-                for name, position, wxyz in bodies
-            ]
+
+            return "nav_msgs/msg/Odometry", odometry, {}
+        case "joints":
+
+            def joints(parts: Any, header: dict[str, Any]) -> Any:
+                numbers = dict(zip(("position", "velocity", "effort"), parts, strict=True))
+                return {"header": header, "name": robot.joint_names, **numbers}
+
+            return "sensor_msgs/msg/JointState", joints, {}
+        case "wrench":
+            wrench = "geometry_msgs/msg/WrenchStamped"
+            return wrench, lambda values, header: {"header": header, "wrench": force_and_torque(values)}, {}
+    name = content.topic.rpartition("/")[2]
+    entries = ",".join("/".join(entry) for entry in entries_of(name, robot))
+    facts = {"unit": rust.signals()[name].unit, "meaning": rust.signals()[name].meaning, "entries": entries}
+    return "std_msgs/msg/Float64MultiArray", _array(name, recording), facts
+
+
+def _transforms(frames: Any, header: dict[str, Any]) -> Any:
+    transforms = [
+        {
+            "header": header,
+            "child_frame_id": name,
+            "transform": {"translation": named("xyz", position), "rotation": xyzw(wxyz)},
         }
-
-    yield "/tf", "tf2_msgs/msg/TFMessage", transforms, {}
-
-    if "base_velocity" in log:
-        unknown = [0.0] * 36
-        # In axes of the base.
-        i_from_b = rust.rotation_from_wxyz(log["base_quaternion"])
-        linear, angular = (
-            np.einsum("nji,nj->ni", i_from_b, part) for part in np.split(log["base_velocity"], 2, axis=1)
-        )
-
-        def odometry(tick: int, stamp: dict[str, int]) -> Any:
-            twist = {"linear": named("xyz", linear[tick]), "angular": named("xyz", angular[tick])}
-            pose = _pose(log["base_position"][tick], log["base_quaternion"][tick])
-            return {
-                "header": _header(stamp),
-                "child_frame_id": robot.body_names[0],
-                "pose": {"pose": pose, "covariance": unknown},
-                "twist": {"twist": twist, "covariance": unknown},
-            }
-
-        yield "/odom", "nav_msgs/msg/Odometry", odometry, {}
-
-    desired = setpoints(recording)
-
-    def setpoint(tick: int, stamp: dict[str, int]) -> Any:
-        return {"header": _header(stamp), "pose": _pose(*(part[tick] for part in desired))}
-
-    yield "/setpoint", "geometry_msgs/msg/PoseStamped", setpoint, {}
-
-    if {"joint_velocity", "joint_torque"} <= log.keys():
-        signals = {"position": "joint_position", "velocity": "joint_velocity", "effort": "joint_torque"}
-
-        def joints(tick: int, stamp: dict[str, int]) -> Any:
-            numbers = {field: log[name][tick] for field, name in signals.items()}
-            return {"header": _header(stamp), "name": robot.joint_names, **numbers}
-
-        yield "/joint_states", "sensor_msgs/msg/JointState", joints, {}
-
-    def wrench(rows: Any) -> Message:
-        return lambda tick, stamp: {
-            "header": _header(stamp),
-            "wrench": {"force": named("xyz", rows[tick, :3]), "torque": named("xyz", rows[tick, 3:])},
-        }
-
-    for name, rows in wrenches(recording).items():
-        yield f"/wrench/{name}", "geometry_msgs/msg/WrenchStamped", wrench(rows), {}
-
-    for name, signal in rust.signals().items():
-        if name in log:
-            yield (
-                f"/signals/{name}",
-                "std_msgs/msg/Float64MultiArray",
-                _array(name, recording),
-                {
-                    "unit": signal.unit,
-                    "meaning": signal.meaning,
-                    "entries": ",".join("/".join(entry) for entry in entries_of(name, recording.robot)),
-                },
-            )
+        for name, position, wxyz in frames
+    ]
+    return {"transforms": transforms}
 
 
 def _array(name: str, recording: Recording) -> Message:
@@ -176,12 +160,8 @@ def _array(name: str, recording: Recording) -> Message:
         {"label": label, "size": size, "stride": int(np.prod(sizes[place:]))}
         for place, (label, size) in enumerate(zip(labels, sizes, strict=True))
     ]
-    layout, rows = {"dim": dims, "data_offset": 0}, recording.rows(name)
-    return lambda tick, _: {"layout": layout, "data": rows[tick]}
-
-
-def _header(stamp: dict[str, int]) -> dict[str, Any]:
-    return {"stamp": stamp, "frame_id": WORLD}
+    layout = {"dim": dims, "data_offset": 0}
+    return lambda row, _: {"layout": layout, "data": row}
 
 
 def _pose(position: Any, wxyz: Any) -> dict[str, Any]:

@@ -1,17 +1,34 @@
-"""What the topics of an MCAP file hold of a flight, whatever encodes their messages."""
+"""The topics of an MCAP file of a flight."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jax_aero import rust
 from jax_aero.body.spatial import rotation_from_rpy, wxyz_from_rotation
 from jax_aero.view.recording import Recording
 
 WORLD = "world"
 """Name of the inertial frame."""
+
+
+class Content(NamedTuple):
+    """What a topic of an MCAP file holds, whatever encodes its messages.
+
+    Attributes
+    ----------
+    kind
+        `text`; `poses` of frames by name; `pose`; `joints`; `wrench`; or `signal`.
+    at
+        Function from the number of a tick to the values of its message; `None` for no message.
+    """
+
+    topic: str
+    kind: str
+    at: Callable[[int], Any]
 
 
 class Topic(NamedTuple):
@@ -34,26 +51,33 @@ class Topic(NamedTuple):
     metadata: Mapping[str, str] = {}
 
 
-def body_poses(recording: Recording) -> tuple[Any, Any]:
-    """Return the positions [m] and quaternions of all bodies, (n, bodies, 3) and (n, bodies, 4)."""
-    instants = [recording.at(time) for time in recording.signals["time"]]
-    positions = np.array([now.body_positions for now in instants])
-    return positions, wxyz_from_rotation(np.array([now.body_rotations for now in instants]))
-
-
-def setpoints(recording: Recording) -> tuple[Any, Any]:
-    """Return the positions [m] of the set-point, which are those of the centre of mass, and its quaternions."""
-    desired = wxyz_from_rotation(rotation_from_rpy(recording.signals["base_rpy_setpoint"]))
-    return recording.signals["com_setpoint"], desired
-
-
-def wrenches(recording: Recording) -> dict[str, Any]:
-    """Return the wrenches of the log by their names, (n, 6); inertial axes."""
+def contents(recording: Recording) -> Iterator[Content]:
+    """Yield what viewers draw, as far as the signals are there, and every signal; inertial axes, quaternions `wxyz`."""
     robot, log = recording.robot, recording.signals
-    found = {"unmodelled": log["unmodelled_wrench"]} if "unmodelled_wrench" in log else {}
+    yield Content("/robot_description", "text", lambda tick: robot.urdf_text if tick == 0 else None)
+    instants = [recording.at(time) for time in log["time"]]
+    positions = np.array([now.body_positions for now in instants]).tolist()
+    turns = wxyz_from_rotation(np.array([now.body_rotations for now in instants])).tolist()
+    names = robot.body_names
+    yield Content("/tf", "poses", lambda tick: list(zip(names, positions[tick], turns[tick], strict=True)))
+    desired = wxyz_from_rotation(rotation_from_rpy(log["base_rpy_setpoint"]))
+    yield Content("/setpoint", "pose", lambda tick: (log["com_setpoint"][tick], desired[tick]))
+    if {"joint_velocity", "joint_torque"} <= log.keys():
+        parts = [log[name] for name in ("joint_position", "joint_velocity", "joint_torque")]
+        yield Content("/joint_states", "joints", lambda tick: [part[tick] for part in parts])
+    wrenches = {"unmodelled": log["unmodelled_wrench"]} if "unmodelled_wrench" in log else {}
     if "foot_wrench" in log:
-        found |= {foot: log["foot_wrench"][:, index] for index, foot in enumerate(robot.foot_names)}
-    return found
+        wrenches |= {foot: log["foot_wrench"][:, index] for index, foot in enumerate(robot.foot_names)}
+    for name, rows in wrenches.items():
+        yield Content(f"/wrench/{name}", "wrench", rows.__getitem__)
+    for name in rust.signals():
+        if name in log:
+            yield Content(f"/signals/{name}", "signal", recording.rows(name).__getitem__)
+
+
+def force_and_torque(wrench: Any) -> dict[str, Any]:
+    """Return a wrench (6,) by the names of its parts."""
+    return {"force": named("xyz", wrench[:3]), "torque": named("xyz", wrench[3:])}
 
 
 def named(names: str, numbers: Any) -> dict[str, float]:

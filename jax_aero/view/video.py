@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal
 
 import numpy as np
 
 from jax_aero.base.files import complete_file
 from jax_aero.base.terminal import Progress
 from jax_aero.view import Refused, check_out, require
-from jax_aero.view.drawing import Camera, Scales, Viewpoint, camera_at
+from jax_aero.view.drawing import Camera, Scales, Scene, Viewpoint, camera_at
 from jax_aero.view.recording import Recording
 
 HOLD = 1.5  # s for which the last picture stays, to read the outcome
@@ -27,27 +27,12 @@ NARROW = 0.7  # height by width of a picture above which the camera keeps a larg
 DISTANCE = {"video": 3.3, "snapshot": 2.9}  # m, of the camera
 
 Renderer = Literal["mujoco", "pillow"]
-RENDERERS = get_args(Renderer)
 """What draws: MuJoCo with OpenGL, or Pillow alone."""
-
-
-class Scene(Protocol):
-    """What draws the pictures of a flight: `offscreen.Studio`, `painter.Painter`."""
-
-    recording: Recording
-    ghost: Recording | None
-    scales: Scales
-
-    def picture(self, time: float, camera: Camera) -> Any:
-        """Return the picture at a time [s], (height, width, 3), without text."""
-
-    def pixels_per_metre(self, camera: Camera) -> float:
-        """Return the scale of the picture at the distance of the point looked at [pixels/m]."""
 
 
 def open_scene(
     renderer: Renderer, recording: Recording, width: int, height: int, ghost: Recording | None = None
-) -> AbstractContextManager[Scene]:
+) -> Scene:
     """Return a scene of a size [pixels], which is to be closed.
 
     Raises
@@ -183,26 +168,22 @@ def _encode_mp4(draft: Path, frames: Iterator[Any], fps: float, size: tuple[int,
         film.mux(stream.encode())
 
 
-def _encode_gif(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int, int]) -> None:
-    """Write a GIF that repeats, with 256 colours per frame; GIF times are hundredths of a second."""
+def _encode_pictures(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int, int]) -> None:
+    """Write an animated GIF, with 256 colours per frame, or WebP; it repeats."""
     from PIL import Image
 
-    pictures = [Image.fromarray(pixels).quantize(256) for pixels in frames]
-    # Players ignore durations below two hundredths.
-    durations = [10 * max(hundredths, 2) for hundredths in _durations(len(pictures), 100.0 / fps)]
-    pictures[0].save(
-        draft, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0, optimize=False
-    )
-
-
-def _encode_webp(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int, int]) -> None:
-    """Write an animated WebP that repeats."""
-    from PIL import Image
-
-    pictures = [Image.fromarray(pixels) for pixels in frames]
-    durations = _durations(len(pictures), 1000.0 / fps)
-    options = {"quality": WEBP_QUALITY, "method": 4, "loop": 0}
-    pictures[0].save(draft, format="WEBP", save_all=True, append_images=pictures[1:], duration=durations, **options)
+    pictures: list[Any] = [Image.fromarray(pixels) for pixels in frames]
+    options: dict[str, Any] = {
+        "duration": _durations(len(pictures), 1000.0 / fps),
+        "quality": WEBP_QUALITY,
+        "method": 4,
+    }
+    if draft.suffix == ".gif":
+        pictures = [picture.quantize(256) for picture in pictures]
+        # Times of a GIF are hundredths of a second, and players ignore durations below two of them.
+        durations = [10 * max(hundredths, 2) for hundredths in _durations(len(pictures), 100.0 / fps)]
+        options = {"duration": durations, "optimize": False}
+    pictures[0].save(draft, save_all=True, append_images=pictures[1:], loop=0, **options)
 
 
 def _durations(count: int, period: float) -> list[int]:
@@ -210,7 +191,7 @@ def _durations(count: int, period: float) -> list[int]:
     return [end - start for start, end in pairwise(round(number * period) for number in range(count + 1))]
 
 
-_ENCODERS = {".mp4": _encode_mp4, ".gif": _encode_gif, ".webp": _encode_webp}
+_ENCODERS = {".mp4": _encode_mp4, ".gif": _encode_pictures, ".webp": _encode_pictures}
 
 
 def _encoder() -> str:

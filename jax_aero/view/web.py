@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import copy
 import errno
 import http.server
@@ -12,7 +11,6 @@ import lzma
 import os
 import re
 import socket
-import time
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -160,13 +158,6 @@ def _companions(path: Path) -> list[Path]:
     return [] if named is None else [path.parent / named]
 
 
-PATIENCE = 60.0
-"""Longest time for a request and its answer [s]."""
-
-CONNECTIONS = 64
-"""Greatest number of open connections, each with a thread; others are closed."""
-
-
 class Server(http.server.ThreadingHTTPServer):
     """Answers with `page`, which is set once the address is known to be free."""
 
@@ -174,32 +165,10 @@ class Server(http.server.ThreadingHTTPServer):
 
     def __init__(self, host: str, port: int) -> None:
         self.own = host
-        self._begun: dict[Any, float] = {}
         super().__init__((host, port), _Handler)
-
-    def verify_request(self, *_: Any) -> bool:
-        """Return whether there is a thread for one more connection."""
-        return len(self._begun) < CONNECTIONS
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread."""
-        self._begun[request] = time.monotonic()
-        super().process_request(request, client_address)
-
-    def shutdown_request(self, request: Any) -> None:
-        """Close a connection."""
-        self._begun.pop(request, None)
-        super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Print nothing, as of a browser that leaves."""
-
-    def service_actions(self) -> None:
-        """Close connections that send half a request, or read no answer; called twice in a second."""
-        for request, begun in list(self._begun.items()):
-            if time.monotonic() - begun > PATIENCE:
-                with contextlib.suppress(OSError):  # its thread may close it at this moment
-                    request.shutdown(socket.SHUT_RDWR)
 
 
 def serve(host: str, port: int) -> Server:
@@ -226,6 +195,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     """Answers with the page, under its own name alone."""
 
     server: Server
+    timeout = 60.0  # s, for which half a request is waited for
 
     def do_GET(self) -> None:
         if not is_own(self.server.own, self.headers.get_all("Host") or []):

@@ -62,7 +62,6 @@ def test_keys_are_set_as_in_a_file(tmp_path, monkeypatch):
     assert changed["simulator"]["joint_stops"] is False
     assert changed["wind"] == {"profile": "file", "path": str(tmp_path / "gust.csv")}
     assert "wind.path" in rust.path_keys(changed)
-    assert {"wind", "wind.path", "simulator.initial.thrust"} < set(rust.config_keys(changed))
 
 
 def to_written(table):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 
 import pytest
@@ -104,18 +103,6 @@ def test_a_program_that_fails_is_refused_with_its_last_words():
         bench_native.run([sys.executable, "-c", 'raise SystemExit("so it ends")'])
     with pytest.raises(Refused, match="`no-such-compiler` is not installed"):
         bench_native.run(["no-such-compiler"])
-
-
-def test_a_program_is_compiled_again_when_a_source_is_newer(tmp_path):
-    program, source = tmp_path / "program", tmp_path / "source"
-    source.touch()
-    assert not bench_native._is_newer(program, source)
-    program.touch()
-    os.utime(source, (1.0, 1.0))
-    assert bench_native._is_newer(program, source)
-    os.utime(source)
-    os.utime(program, (1.0, 1.0))
-    assert not bench_native._is_newer(program, source)
 
 
 @pytest.mark.parametrize("words", [["bench", "--turns", "0"], ["bench_jax", "--batch", "0"]])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import jax
 import pytest
 
@@ -25,37 +23,3 @@ def test_the_cases_of_ours_can_be_traced():
             traced.append(case.name)
     assert {"kinematics, M, h, A_G (mjx)", "momentum QP, warm", "controller tick"} < set(traced)
     assert any("closed-loop" in name and "float32" in name for name in traced)
-
-
-def test_what_is_asked_for_is_measured(monkeypatch, capsys):
-    settings = {}
-    config = SimpleNamespace(update=settings.__setitem__)
-    monkeypatch.setattr(bench_jax, "untyped", SimpleNamespace(config=config))
-    monkeypatch.setattr(bench_jax, "_hovering_flight", lambda: (None, None))
-    named = [SimpleNamespace(name="kinematics", is_slow=False), SimpleNamespace(name="a gradient", is_slow=True)]
-    monkeypatch.setattr(bench_jax, "cases", lambda *_: named)
-    monkeypatch.setattr(bench_jax, "_row", lambda case, sizes, _: f"{case.name} {sizes}")
-    monkeypatch.setattr(bench_jax, "_throughput", lambda *_, quick: [f"throughput {quick}"])
-
-    def rows(*words):
-        assert bench_jax.main(words) == 0
-        return [
-            line
-            for line in capsys.readouterr().out.splitlines()
-            if line and not line.startswith(("|", "Device", "The"))
-        ]
-
-    assert rows("--only", "kin") == ["kinematics [1, 64, 1024]"]
-    assert rows("--quick") == ["kinematics [1, 64]", "throughput True"]
-    assert rows("--batch", "3") == ["kinematics [3]", "a gradient [3]", "throughput False"]
-    assert settings["jax_enable_x64"] is True
-
-
-def test_a_row_has_times_per_item_and_of_compiling_with_and_without_the_cache(monkeypatch):
-    compiled = iter([0.25, 0.75, 0.5])  # at two sizes, then again from the cache
-    untyped = SimpleNamespace(block_until_ready=lambda _: None, clear_caches=lambda: None)
-    monkeypatch.setattr(bench_jax, "untyped", untyped)
-    monkeypatch.setattr(bench_jax, "_compile", lambda *_: (lambda *_: None, next(compiled)))
-    monkeypatch.setattr(bench_jax, "_median", lambda call, _: call() or 8e-6)
-    case = SimpleNamespace(name="made up", sample=0.0, shared=None, divide_by=2)
-    assert bench_jax._row(case, [1, 4], 0.0) == "| made up | 4.0 µs | 1.0 µs | 0.8 s | 0.5 s |"

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from experiments.flight import PAPER_RUNS
 from experiments.report import paper
@@ -11,13 +12,14 @@ from experiments.report.findings import Kind
 from experiments.report.judges import results as judges
 from experiments.report.judges import sweeps
 from experiments.report.measures.flight import Metrics
-from experiments.report.measures.standing import Ground
+from experiments.report.measures.standing import Ground, measure
 from experiments.report.results import Sweep
 from experiments.sweep import spec
 from experiments.sweep.criteria import Criterion, Share
 from experiments.sweep.table import wilson
 from jax_aero.base import places
 from jax_aero.base.terminal import ConfigError
+from paper_figs.tunnel import FINEST, OMEGA
 
 JUDGES = {key: claim.decide for key, claim in paper._table().claim.items()}
 
@@ -157,11 +159,25 @@ def test_the_momentum_rate_falls_from_its_peak(figures, word):
     assert word in judge("momentum_rate", standing=standing)[1]
 
 
-def paper_tests(name, corrected, published):
+def test_the_momentum_rate_of_a_standing_robot_is_the_horizontal_one():
+    """In 1 s steps; the wind begins at 4 s, and 3, 4 and 12 N along x, y and z are estimated at 6 s alone."""
+    time, rate = np.arange(20.0), np.zeros((20, 6))
+    rate[6, :3] = 3.0, 4.0, 12.0
+    signals = {name: (("time", "xyz"), np.zeros((20, 3))) for name in ("com_position", "com_setpoint")}
+    signals |= {"momentum_rate_estimate": (("time", "six"), rate)}
+    signals |= {"aero_force_control": (("time", "link", "xyz"), np.zeros((20, 1, 3)))}
+    signals |= {"contact_force": (("time", "foot", "six"), np.zeros((20, 2, 6))), "feet_carry": ("time", np.ones(20))}
+    signals |= {"joint_position": (("time", "joint"), np.zeros((20, 1)))}
+    named = {"time": time, "joint": ["l_knee"], "joint_group": ("joint", ["left_leg"])}
+    outcome = {"outcome": "completed", "lost_time": "", "lost_reason": ""}
+    assert measure("s", xr.Dataset(signals, named, outcome), 4.0, 44.0).rate_peak == 5.0
+
+
+def paper_tests(name, corrected, published, flights=100):
     return {
         "paper_tests": [
-            {"test": f"{name}, corrected arms", "completed": corrected},
-            {"test": f"{name}, published arms", "completed": published},
+            {"test": f"{name}, {arms} arms", "completed": completed, "flights": flights}
+            for arms, completed in (("corrected", corrected), ("published", published))
         ]
     }
 
@@ -177,6 +193,14 @@ def paper_tests(name, corrected, published):
 )
 def test_a_test_is_flown_if_95_of_100_neighbours_complete(corrected, published, verdict):
     sweeps, flights = paper_tests("TEST2", corrected, published), {"test2": flight(), "test2_published": flight()}
+    assert judge("test2", flights=flights, sweeps=sweeps)[1].startswith(verdict)
+
+
+@pytest.mark.parametrize(("neighbours", "verdict"), [(15, "differs"), (16, "agrees")])
+def test_a_test_is_not_flown_if_too_few_neighbours_say_so(neighbours, verdict):
+    """The interval of 15 of 15 begins at 0.796, that of 16 of 16 at 0.806."""
+    sweeps = paper_tests("TEST2", neighbours, neighbours, flights=neighbours)
+    flights = {"test2": flight(), "test2_published": flight()}
     assert judge("test2", flights=flights, sweeps=sweeps)[1].startswith(verdict)
 
 
@@ -275,6 +299,21 @@ def test_the_share_of_the_pressure_is_that_of_the_paper_within_a_point(share, ve
         f"{100 * share:.1f} % of the force, by an open solver around primitives",
         verdict,
     )
+
+
+@pytest.mark.parametrize(("error", "verdict"), [(0.099, "agrees"), (-0.099, "agrees"), (0.101, "differs: +0.1 %")])
+def test_the_size_of_a_force_is_that_of_the_tunnel_within_a_tenth(error, verdict, monkeypatch):
+    record = {"posture": "flight30", "alpha_deg": [30, 60], "cda": [0.3, 0.1], "cla": [0.0, 0.2], "csa": [0.4, 0.2]}
+    run = {key: [(1.0 + error) * area for area in record[key]] for key in ("cda", "cla", "csa")}
+    run |= {"posture": "flight30", "mesh": FINEST, "turbulence": OMEGA, "alpha_deg": [30, 60]}
+    monkeypatch.setattr("paper_figs.tunnel.read", lambda _: {"flight": [record], "run": [run]})
+    assert judge("magnitude SST k-omega") == (f"{100 * abs(error):.1f} %", verdict)
+
+
+@pytest.mark.parametrize(("ratio", "verdict"), [(4.9, "differs"), (5.1, "agrees"), (19.9, "agrees"), (20.1, "differs")])
+def test_an_order_of_magnitude_is_a_factor_of_5_to_20(ratio, verdict, monkeypatch):
+    monkeypatch.setattr("experiments.report.judges.files._errors", lambda: (0.0, 1e-6, 0.0, 1e-6 * ratio))
+    assert judge("order")[1].startswith(verdict)
 
 
 @pytest.mark.parametrize(("part", "verdict"), [(0.995, "agrees"), (0.93, "differs: not in 7 % of it")])

@@ -19,7 +19,7 @@ import pytest
 from experiments import backends, studies
 from experiments.sources import closure
 from jax_aero import cli, rust
-from jax_aero.base import extras, places
+from jax_aero.base import places
 from jax_aero.base.terminal import exit_status, progress_bar
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,9 +29,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 CONFIGURED = [name for name in studies.names() if places.names(name)]
 """Studies with configurations."""
 
-FUNCTIONS = {(command.function, command.extras) for command in cli.COMMANDS.values() if command.function} | {
-    part for command in cli.COMMANDS.values() for part in command.parts.values()
-}
+FUNCTIONS = set(cli.FUNCTIONS.values())
 """Function and extras of every command and sub-command."""
 
 
@@ -98,13 +96,6 @@ def test_a_flight_of_the_crate_depends_on_no_package_that_its_extra_does_not_bri
     assert closure("experiments.flight", backends.MODULES["rust"])[1] <= packages_in("figs")
 
 
-def test_the_extra_that_a_module_names_brings_what_it_imports():
-    for path in (ROOT / "jax_aero").rglob("*.py"):
-        module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        brought = packages_in(extras.extra_of(module))
-        assert packages_of(module) <= brought, module
-
-
 def test_the_package_installs_the_command():
     assert PROJECT["scripts"] == {"jax-aero": "jax_aero.cli:main"}
 
@@ -128,7 +119,7 @@ def test_help_names_every_command(capsys):
         (["sweep", "baseline_edges"], "baseline_edge"),
         (["view", "--prot", "1"], "did you mean --port"),
         (["train", "compact", "--datset", "x"], "did you mean --dataset"),
-        (["study", "inner_loop", "--hepl"], "did you mean --help"),
+        (["study", "standing", "--hepl"], "did you mean --help"),
         (["sweep", "tuned", "--workers", "0"], "--workers: `0`; expected an integer ≥ 1"),
         (["sweep", "tuned", "--address", "somewhere"], "--address is somewhere; expected --cluster ray beside it"),
         (["robot", "import", "none.urdf", "--jet", "a:1", "--forward", "-x"], "none.urdf: No such file"),

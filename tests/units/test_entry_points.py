@@ -1,6 +1,5 @@
 """What `import jax_aero` gives, and what it does not import."""
 
-import importlib
 import subprocess
 import sys
 
@@ -32,31 +31,6 @@ def test_the_crate_flies_without_jax():
     )
     answer = subprocess.run([sys.executable, "-c", code], cwd=HOME, capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "completed set()"
-
-
-@pytest.mark.parametrize(
-    ("statement", "module", "package", "extra"),
-    [
-        ("from jax_aero import env", "env", "jax", "twin"),
-        ("from jax_aero.env import FlightEnv", "env", "jaxtyping", "twin"),
-        ("from jax_aero.env_gym import HoverEnv", "env_gym", "gymnasium", "rl"),
-        ("import jax_aero.symbolic", "symbolic", "casadi", "symbolic"),
-    ],
-)
-def test_a_module_that_lacks_a_package_names_its_extra(statement, module, package, extra, monkeypatch):
-    monkeypatch.setitem(sys.modules, package, None)
-    for name in [name for name in sys.modules if f"{name}.".startswith(f"jax_aero.{module}.")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(vars(jax_aero), module, raising=False)
-    expected = rf"`jax_aero\.{module}` needs the package `{package}`: pip install 'jax-aero\[{extra}\]'"
-    with pytest.raises(ModuleNotFoundError, match=expected) as caught:
-        exec(statement, {})
-    assert caught.value.name == package
-
-
-def test_a_module_of_ours_that_is_missing_is_called_so():
-    with pytest.raises(ModuleNotFoundError, match=r"No module named 'jax_aero\.envv'"):
-        importlib.import_module("jax_aero.envv")
 
 
 def test_an_unknown_name_is_an_attribute_error():

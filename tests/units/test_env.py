@@ -21,7 +21,7 @@ from jax_aero.base.features import Aim
 from jax_aero.base.places import CONFIGS, HOME
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
-from jax_aero.env_task import Task, TaskState, limit_action, rewards, steer
+from jax_aero.env_task import Task, TaskState, limit_action, observation, rewards, steer
 from jax_aero.rust import load_config
 from tests.measurements import measured
 
@@ -223,6 +223,13 @@ def test_a_task_refuses(what, tmp_path):
     for environment in (FlightEnv, HoverEnv):
         with pytest.raises(ValueError, match=rf"`{key}` of .*own\.toml is {value}; expected"):
             environment(Task(str(tmp_path / "own.toml")))
+
+
+def test_thrusts_are_observed_relative_to_the_limit_of_their_jet():
+    still, aim = np.zeros(3), Aim(np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
+    joints, limits = np.zeros(2), np.array([100.0, 60.0, 200.0])
+    state = TaskState(np.eye(3), np.zeros(8), joints, np.array([50.0, 60.0, 20.0]), still, aim, joints, np.zeros(6))
+    np.testing.assert_allclose(observation(np, state, limits)[19:22], [0.5, 1.0, 0.1])
 
 
 def test_an_action_is_thrust_rates_and_joint_velocities():

@@ -12,7 +12,7 @@ from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control.law.momentum_qp import Diagonal, Rows, _cost
 from jax_aero.control.tick import init, momentum_controller, tick
-from jax_aero.types import Array, State, Static, pytree
+from jax_aero.types import Array, State, pytree, static
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -21,8 +21,8 @@ pytestmark = pytest.mark.usefixtures("x64")
 class KeepVelocity:
     """Asks some joint to turn at a velocity, as a diagonal or as a row."""
 
-    joint: Static[int]
-    is_row: Static[bool]
+    joint: int = static()
+    is_row: bool = static()
     velocity: Array
     weight: Array
 
@@ -80,13 +80,6 @@ def test_the_number_of_an_unknown_may_be_traced():
     for fixed, traced in zip(cost(1), jax.jit(cost)(1), strict=True):
         np.testing.assert_array_equal(traced, fixed)
     np.testing.assert_array_equal(np.diag(cost(1)[0]), 2.0 * np.arange(4.0) ** 2 + [0.0, 3.0, 4.0, 0.0])
-
-
-def test_a_static_field_is_known_by_its_type_and_by_its_text():
-    written = pytree(type("Written", (), {"__annotations__": {"joint": "Static[int]", "weight": "Array"}}))
-    evaluated = pytree(type("Evaluated", (), {"__annotations__": {"joint": Static[int], "weight": Array}}))
-    for kind in (written, evaluated):
-        assert jax.tree.leaves(kind(3, 40.0)) == [40.0]
 
 
 def test_a_heavy_one_is_obeyed(first_tick, measured):

@@ -125,7 +125,7 @@ def test_arrows_are_as_long_as_the_legend_says(seen):
     ("make", "low", "high"),
     [
         (mesh.box, (-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
-        (drawing.cone, (-1.0, -1.0, 0.0), (1.0, 1.0, 1.0)),
+        (lambda: mesh.revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)]), (-1.0, -1.0, 0.0), (1.0, 1.0, 1.0)),
     ],
 )
 def test_meshes_have_their_size_are_closed_and_face_outwards(make, low, high):

@@ -1,1 +1,1 @@
-"""The study `tip_over`."""
+"""The study `failures`."""

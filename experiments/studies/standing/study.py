@@ -3,7 +3,8 @@
 `jax-aero study standing [front] [lateral]` replays what the robot measured through the controller that it had, as it
 was flown and physically right, and again with one cause of the difference at a time made right. It compares desired
 torques, foot wrenches, momentum rates and joint velocities with the recorded ones; and how far the robot moved with how
-far the simulated experiment does. The result goes to `results/standing/NAME/`; `jax-aero figures standing` draws it.
+far the simulated experiment does, to which it fits the dry friction of the drives. The result goes to
+`results/standing/NAME/`; `jax-aero figures standing` draws it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from experiments.replay import replay
-from experiments.standing import moved
+from experiments.studies.standing import friction
+from experiments.studies.standing.motion import moved
 from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.base import keys, tables
@@ -57,6 +59,8 @@ class StandingConfig(tables.Table, frozen=True):
     """Experiment with the controller that the robot had."""
     right: Path
     """Experiment with the controller that is physically right."""
+    friction: friction.Friction
+    """Friction of the drives that this run determines."""
 
 
 def compute(_: str, config: StandingConfig) -> Findings:
@@ -66,14 +70,16 @@ def compute(_: str, config: StandingConfig) -> Findings:
     variants |= {f"without {cause}": restore(flown, right, key) for cause, key in CAUSES.items()}
     log = logs.read(config.record, flown, config.map)
     replays = {name: replay(log, variant, config.record) for name, variant in variants.items()}
-    summary: dict[str, float] = {}
+    summary: dict[str, Any] = {}
     for name, (recorded, computed) in replays.items():
         summary |= {f"{name}: {figure}": value for figure, value in differences(recorded, computed).items()}
     recorded, computed = replays[AS_FLOWN]
     summary |= noisy(recorded, computed)
     summary |= {"assumed force as recorded [N]": assumed(recorded), "mass by the desired wrenches [kg]": mass(recorded)}
-    summary |= {f"recorded: {figure}": value for figure, value in moved(recorded, flown).items()}
+    motion = moved(recorded, flown)
+    summary |= {f"recorded: {figure}": value for figure, value in motion.items()}
     summary |= {f"simulated: {figure}": value for figure, value in moved(ground.fly(flown).log, flown).items()}
+    summary |= friction.fit(config.friction, flown, motion)
     dataset = to_dataset(recorded, {name: replays[name][1] for name in (AS_FLOWN, RIGHT)}, rust.Robot(flown["robot"]))
     return Findings(config.title, dataset, summary, flights={AS_FLOWN: flown, RIGHT: right})
 

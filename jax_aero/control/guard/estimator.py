@@ -28,7 +28,7 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import cross, exp_so3, log_so3, multiply, project_to_so3
 from jax_aero.config import EstimatorConfig, LatencyConfig
 from jax_aero.control.measurement import Reading
-from jax_aero.types import Array, State, Static, join, leaf, pytree, where
+from jax_aero.types import Array, State, join, leaf, pytree, static, where
 
 
 class Order(NamedTuple):
@@ -62,11 +62,11 @@ class Estimator:
     """Share of the rate with which the rotation is corrected that the bias of the gyroscopes receives."""
     time_step: Float[Array, ""]
     """Time step of the controller [s]."""
-    greatest_age: Static[int]
+    greatest_age: int = static()
     """Greatest age [ticks]."""
-    latency: Static[int]
+    latency: int = static()
     """Whole ticks until torques act, which are part of the ages."""
-    lags: Static[tuple[float, float]]
+    lags: tuple[float, float] = static()
     """What is left of the latencies of torques, below one, and thrust rates [ticks]."""
 
 

@@ -87,7 +87,7 @@ class Task(Protocol):
 
     >>> @pytree
     ... class KeepVelocity:
-    ...     joint: Static[int]
+    ...     joint: int = static()
     ...     velocity: Array
     ...     weight: Array
     ...

@@ -25,7 +25,7 @@ from jax_aero.control.law.rates import Rates
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
 from jax_aero.rust import MODES
-from jax_aero.types import Array, Setpoint, State, Static, pytree, where
+from jax_aero.types import Array, Setpoint, State, pytree, static, where
 
 OBSERVER_GAIN = 3.0
 """Gain of the observed wrench [1/s]."""
@@ -70,7 +70,7 @@ class Steering:
     """[N/s]."""
     joint_velocity: Float[Array, " n"]
     """[rad/s]."""
-    replaces: Static[bool] = False
+    replaces: bool = static(default=False)
     """Whether it replaces the answer of the law."""
 
     def act(self, _features: dict[str, Float[Array, "3"]]) -> Added:
@@ -83,7 +83,7 @@ class PolicyResidual:
     """The residual of a learned policy."""
 
     policy: Policy
-    features: Static[tuple[str, ...]]
+    features: tuple[str, ...] = static()
     """Names of what it observes, three numbers each."""
     scale: Float[Array, " f"]
     """`s` of each of them."""
@@ -91,7 +91,7 @@ class PolicyResidual:
     """Thrust rate of an action of 1 [N/s]."""
     joint_velocity: Float[Array, ""]
     """Joint velocity of an action of 1 [rad/s]."""
-    jets: Static[int]
+    jets: int = static()
     """Number of actions that are thrust rates, the first ones."""
 
     @property

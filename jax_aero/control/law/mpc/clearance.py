@@ -15,7 +15,7 @@ from jax_aero import config, rust
 from jax_aero.body.kinematics import kinematics_at_rest
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotate
-from jax_aero.types import Array, Static, leaf, pytree
+from jax_aero.types import Array, leaf, pytree, static
 
 TINY = 1e-12
 """Keeps quotients finite if a segment is a point or two segments are parallel [m², m⁴]."""
@@ -25,9 +25,9 @@ TINY = 1e-12
 class Clearance:
     """Capsules, which are segments with a radius, and pairs of them that stay apart."""
 
-    bodies: Static[tuple[int, ...]]
+    bodies: tuple[int, ...] = static()
     """Body that carries each capsule."""
-    pairs: Static[tuple[tuple[int, int], ...]]
+    pairs: tuple[tuple[int, int], ...] = static()
     start: Float[Array, "c 3"]
     """Start of every segment, body axes [m]."""
     way: Float[Array, "c 3"]

@@ -14,7 +14,7 @@ from jax_aero.body.jets import Engines, engines
 from jax_aero.body.robot import RobotModel
 from jax_aero.config import Air
 from jax_aero.control.law.mpc.clearance import Clearance, clearance_params
-from jax_aero.types import Array, Static, leaf, pytree
+from jax_aero.types import Array, leaf, pytree, static
 
 
 @pytree
@@ -73,7 +73,7 @@ class Structure(NamedTuple):
 class Mpc:
     """The predictive law: every number is a leaf."""
 
-    structure: Static[Structure]
+    structure: Structure = static()
     period: Float[Array, ""]
     """Time between two plans [s]."""
     posture_gain: Float[Array, ""]
