@@ -25,7 +25,7 @@
 //! determined together.
 
 pub mod acting;
-pub mod command;
+pub(crate) mod command;
 pub mod config;
 pub mod detect;
 pub mod estimate;
@@ -35,9 +35,9 @@ pub mod measure;
 pub mod modes;
 pub mod mpc;
 pub mod preview;
-pub mod state;
-pub mod terms;
-pub mod tick;
+pub(crate) mod state;
+pub(crate) mod terms;
+pub(crate) mod tick;
 
 pub use command::{BadCommand, Command, CommandStatus};
 pub use config::check_time_step;

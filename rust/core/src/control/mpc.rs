@@ -17,7 +17,7 @@ pub mod clearance;
 pub mod config;
 pub mod horizon;
 pub mod model;
-pub mod prediction;
+pub(crate) mod prediction;
 
 use super::law::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
@@ -37,8 +37,9 @@ use horizon::{Horizon, Target};
 use model::Linearised;
 use nalgebra::Vector6;
 
-/// Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there.
-const EXCESS_PASSES: u32 = 30;
+/// Limit of the factorisations of one plan, over all its QPs: each has the values beyond their limits that the last answer
+/// brought there, and takes at least one. With it the plan has no answer, and the last one is followed.
+const FACTORISATIONS_MAX: u32 = 300;
 /// A plan is followed for at most this part of the horizon; by then the momentum QP decides.
 const PLAN_SHARE: f64 = 0.25;
 
@@ -128,7 +129,7 @@ impl PredictiveLaw {
             wrenches: vec![Vector6::zeros(); horizon.knots()],
             links: LinkForces::new(robot),
             inputs: vec![0.0; horizon.problem.len()],
-            solver: PrimalActiveSet::new(horizon.problem.len()),
+            solver: PrimalActiveSet::new(horizon.problem.len()).with_iteration_limit(FACTORISATIONS_MAX),
             model: Linearised::new(robot, joints),
             horizon,
         })
@@ -209,8 +210,8 @@ impl PredictiveLaw {
         Self::search(horizon, solver, model, now, joint_limits, inputs, &mut state.plan)
     }
 
-    /// Searches the inputs of least cost, with what they bring beyond its limits, from the last plan; `false` without a
-    /// certified answer. Public for benchmarks.
+    /// Searches the inputs of least cost, with what they bring beyond its limits, from the last plan, in as many factorisations
+    /// as the solver's limit; `false` without a certified answer. Public for benchmarks.
     #[doc(hidden)]
     pub fn search(
         horizon: &mut Horizon,
@@ -225,9 +226,13 @@ impl PredictiveLaw {
         if since.is_some() {
             horizon.update_excess(model, now, joint_limits, last);
         }
-        for pass in 0..EXCESS_PASSES {
-            let found = solver.solve_from(warm, &horizon.problem);
-            *answer = Some(found).filter(|found| !found.kkt.is_nan());
+        let (mut factorisations, mut is_first) = (0, true);
+        loop {
+            let left = solver.iteration_limit() - factorisations;
+            let found = solver.solve_from_at_most(left, warm, &horizon.problem);
+            factorisations += found.iterations;
+            *answer =
+                Some(QpAnswer { iterations: factorisations, ..found }).filter(|found| !found.kkt.is_nan());
             if found.status != QpStatus::Solved {
                 return false;
             }
@@ -237,7 +242,7 @@ impl PredictiveLaw {
                 *since = Some(*tried);
                 return true;
             }
-            if pass == 0 {
+            if std::mem::take(&mut is_first) {
                 inputs.copy_from_slice(to);
                 continue; // H and g have what these inputs bring beyond its limits
             }
@@ -248,8 +253,6 @@ impl PredictiveLaw {
             }
             horizon.update_excess(model, now, joint_limits, inputs);
         }
-        *answer = answer.map(|found| QpAnswer { status: QpStatus::IterationLimit, ..found });
-        false
     }
 
     /// The motion to follow at the end of every knot, as rotation vectors from the present attitude.

@@ -13,7 +13,7 @@ const OBSERVER: ObserverConfig =
 
 /// Adds the residual of a tick to the answer of the law (M172), and, from the first one on, observes the wrench for the
 /// next tick. A given residual takes the place of the policy's.
-pub fn steer(
+pub(super) fn steer(
     policy: Option<&mut Policy>,
     given: Option<&Residual>,
     state: &mut ControllerState,
