@@ -39,7 +39,7 @@ pub(crate) mod state;
 pub(crate) mod terms;
 pub(crate) mod tick;
 
-pub use command::{BadCommand, Command, CommandStatus};
+pub use command::{BadCommand, Command};
 pub use config::check_time_step;
 pub use estimate::joint_tracker::JointMeasurement;
 pub use measure::measurement::{BadStart, Estimate, Measurement};

@@ -66,7 +66,7 @@ fn plan_times(config: &ScenarioConfig, from: f64) -> Result<Replays, BuildError>
             let measurement = tick.measurement.clone();
             let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
             let begin = common::processor_time();
-            black_box(controller.tick(state, black_box(&measurement)).status);
+            black_box(controller.tick(state, black_box(&measurement)).modes);
             let taken = common::processor_time() - begin;
             if tick.measurement.time >= from && common::makes_plan(config, tick.measurement.time) {
                 times.push(1e6 * taken);
@@ -87,7 +87,7 @@ fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
         let mut state = None;
         for Tick { measurement, .. } in &ticks {
             let Some(state) = common::begin_flight(&mut controller, &mut state, measurement) else { break };
-            times.push(microseconds(|| controller.tick(state, black_box(measurement)).status));
+            times.push(microseconds(|| controller.tick(state, black_box(measurement)).modes));
         }
         Ok(())
     })
@@ -125,7 +125,7 @@ fn standing_tick_times() -> Result<Replays, BuildError> {
         let mut state = None;
         for StandingTick { measurement, .. } in &ticks {
             let Some(state) = common::begin_flight(&mut controller, &mut state, measurement) else { break };
-            times.push(microseconds(|| controller.tick(state, black_box(measurement)).status));
+            times.push(microseconds(|| controller.tick(state, black_box(measurement)).modes));
         }
         Ok(())
     })

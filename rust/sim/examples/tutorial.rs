@@ -5,7 +5,6 @@
 //! ```
 
 use flight_core::Measurement;
-use flight_core::control::CommandStatus;
 use flight_core::control::law::momentum_qp::{Equations, Layout, Task, TaskInputs};
 use flight_io::{MissionConfig, load_controller, load_robot};
 use flight_sim::{Plant, Scenario, ScenarioConfig, WindConfig, fly_batch, load_scenario};
@@ -76,8 +75,8 @@ fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
             measurement.state.base.position.fill(f64::NAN); // not measured
         }
         let command = controller.tick(&mut state, &measurement);
-        if command.status != CommandStatus::Nominal {
-            println!("{:.2} s: {} ({})", measurement.time, command.status, command.modes);
+        if !command.modes.is_empty() {
+            println!("{:.2} s: {}", measurement.time, command.modes);
         }
         plant.advance(command.joint_torque.as_slice(), command.thrust_rate.as_slice(), &wind, time_step);
     }

@@ -1,11 +1,12 @@
 //! The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP or a plan.
 
 use crate::aero::AeroModel;
-use crate::control::command::{Command, CommandStatus};
+use crate::control::command::Command;
 use crate::control::law::attitude::attitude_demand;
 use crate::control::law::momentum_qp::TaskInputs;
 use crate::control::law::setpoint::{Ahead, Setpoint, SetpointGenerator};
 use crate::control::limits::JointCondition;
+use crate::control::modes::Modes;
 use crate::control::mpc::{PredictiveLaw, Upcoming};
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
@@ -102,9 +103,7 @@ impl Law {
         let motion = Upcoming { generator, ahead: *ahead, preview };
         if !predictive.command(robot, aero, state, &motion, terms, command) {
             self.decide(state, terms, command);
-            if command.status.is_of_law() {
-                command.status = CommandStatus::PlanMissing;
-            }
+            command.modes.insert(Modes::PLAN_MISSING);
         }
     }
 
@@ -164,9 +163,8 @@ impl Law {
         let answer = self.solver.solve_from(&mut state.momentum_start, &momentum_qp.problem);
         command.rates_qp = answer;
         self.solution.as_mut_slice().copy_from_slice(self.solver.x());
-        command.status = CommandStatus::of_modes(command.modes);
         if answer.status != QpStatus::Solved {
-            command.status = CommandStatus::MomentumHeld;
+            command.modes.insert(Modes::MOMENTUM_HELD);
             // Zero rates, as far as the bounds allow.
             self.solution.fill(0.0);
             momentum_qp.problem.clamp(self.solution.as_mut_slice());

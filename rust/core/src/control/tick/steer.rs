@@ -1,6 +1,6 @@
 //! A residual in a tick: it is added to the answer of the law, and the wrench is observed that the next one sees.
 
-use crate::control::command::{Command, CommandStatus};
+use crate::control::command::Command;
 use crate::control::estimate::disturbance_observer::{MomentumSample, ObserverConfig};
 use crate::control::law::residual::{Policy, Residual};
 use crate::control::modes::Modes;
@@ -47,12 +47,9 @@ fn add(replaces: bool, terms: &Terms, command: &mut Command) {
     let Terms { residual, momentum_qp, .. } = terms;
     if !residual.iter().all(|number| number.is_finite()) {
         command.modes.insert(Modes::RESIDUAL_IGNORED);
-        if command.status == CommandStatus::Nominal {
-            command.status = CommandStatus::Degraded;
-        }
         return;
     }
-    if command.status.is_held() {
+    if command.modes.is_held() {
         return;
     }
     let (unknowns, problem) = (&momentum_qp.unknowns, &momentum_qp.problem);
