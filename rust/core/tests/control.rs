@@ -9,7 +9,7 @@ use crate::common::{
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::config::Solver;
-use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig, LatencyConfig};
 use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_core::control::law::bounds::LimitedValues;
 use flight_core::control::law::momentum::RateFeedback;
@@ -558,6 +558,38 @@ fn the_law_is_given_what_the_estimators_make() {
     let used = &controller.state().estimate();
     assert_within!((used.robot.state.base.position - good.state.base.position).amax(), 1e-2, because "a tick of the model");
     assert_eq!(used.robot.wind, wind, "that of the tick before");
+}
+
+/// What is predicted under a replaced command follows from the state alone: in another controller, which has not seen the tick
+/// before, it has the same bits, also with friction of the drives and with late commands.
+#[test]
+fn a_replaced_command_continues_from_a_restored_state() {
+    let mut config = experiment("test2_observer");
+    let group = load_robot(&config.robot).unwrap().groups[0].name.clone();
+    let law = &mut config.controller.law;
+    law.torque.friction = Some([(group, 3.0)].into());
+    law.estimator = Some(EstimatorConfig {
+        latency: LatencyConfig { torque: 0.02, thrust: 0.02 },
+        ..EstimatorConfig::default()
+    });
+    let mut flight = Loop::new(&config);
+    flight.run(1.0, |_| wind());
+    let (state, thrust_rate) =
+        (flight.controller.state().clone(), flight.controller.command().thrust_rate.clone());
+    let torque: Vec<f64> =
+        flight.controller.command().joint_torque.iter().map(|torque| 0.9 * torque).collect();
+    flight.advance(&wind());
+    let (plant, tick) = (flight.plant.clone(), flight.tick);
+    let mut another = Loop::new(&config);
+    another.observe(&Vector3::zeros());
+    let [continued, restored] = [flight, another].map(|mut flight| {
+        (flight.plant, flight.tick) = (plant.clone(), tick);
+        let Running { controller, state: kept } = &mut flight.controller;
+        controller.replace_command(kept.insert(state.clone()), thrust_rate.as_slice(), &torque).unwrap();
+        flight.observe(&wind());
+        (numbers(flight.controller.command()), flight.controller.state().clone())
+    });
+    assert_eq!(continued, restored);
 }
 
 /// A state that was recorded, restored after other ticks and in another controller: every number of the ticks that follow

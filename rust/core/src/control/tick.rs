@@ -149,7 +149,7 @@ impl Controller {
         given: &Given,
     ) -> &Command {
         if !self.fits(state) {
-            return self.refuse_state();
+            return self.refuse_state(state);
         }
         let is_usable = self.measure(measurement, state);
         if state.estimate.modes.contains(Modes::BEGUN_AGAIN) {
@@ -195,7 +195,7 @@ impl Controller {
         let is_last =
             state.between.tick_of_law == self.last_tick && state.between.torque == self.command.joint_torque;
         if !self.fits(state) || !is_last {
-            return self.refuse_state();
+            return self.refuse_state(state);
         }
         let Self { torques, joints, terms, command, torque_steps, .. } = self;
         let is_sized =
@@ -218,8 +218,11 @@ impl Controller {
     }
 
     /// Holds: this state is not the one with which the controller ticks.
-    fn refuse_state(&mut self) -> &Command {
+    fn refuse_state(&mut self, state: &ControllerState) -> &Command {
         self.command.set_hold(Modes::STATE_IGNORED);
+        if state.estimate.robot.thrust.len() == self.n_jets() {
+            self.command.set_throttle(&self.jets, &state.estimate, self.time_step);
+        }
         &self.command
     }
 

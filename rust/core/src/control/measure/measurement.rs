@@ -167,7 +167,10 @@ impl Estimate {
     #[must_use]
     pub fn new(robot: &RobotModel, jets: usize, time_step: f64) -> Self {
         Self {
-            robot: Measurement::zero(robot.joints.len(), jets, robot.feet.len()),
+            robot: Measurement {
+                shaft_speed: Vec::new(), // they are thrusts here
+                ..Measurement::zero(robot.joints.len(), jets, robot.feet.len())
+            },
             wind_std: Vector3::zeros(),
             thrust_rate: vec![0.0; jets],
             thrust_innovation: vec![0.0; jets],
