@@ -121,15 +121,27 @@ def rotation_angle(r: Float[Array, "*batch 3 3"]) -> Float[Array, " *batch"]:
 
 
 def log_so3(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
-    """Return the rotation vector [rad] of a rotation by less than 180°, the inverse of `exp_so3`."""
+    """Return the rotation vector [rad] of a rotation by at most 180°, the inverse of `exp_so3`.
+
+    At exactly 180° the axis has either sign.
+    """
     xp = namespace(r)
     v = vee_of_skew_part(r)
     square, cosine = xp.sum(v * v, -1), 0.5 * (trace(r) - 1.0)
-    # For small θ, θ/sin θ = 1 + sin²θ/6 to the last bit. At 180° sin θ may be zero, and the axis is undefined.
-    is_small = (cosine > 0.0) & (square < np.finfo(r.dtype).eps) | (square == 0.0)
+    # Above 90° the axis k is that of (R + Rᵀ)/2 − cos θ I = (1 − cos θ) k kᵀ, as the antisymmetric part vanishes at 180°.
+    # Its longest column has the greatest diagonal entry.
+    is_large, eye = (cosine < 0.0)[..., None, None], xp.eye(3, dtype=r.dtype)
+    outer = xp.where(is_large, 0.5 * (r + xp.swapaxes(r, -1, -2)) - cosine[..., None, None] * eye, eye)
+    longest = xp.argmax(xp.diagonal(outer, axis1=-2, axis2=-1), -1)
+    column = xp.take_along_axis(outer, longest[..., None, None], -1)[..., 0]
+    column = column * xp.where(xp.sum(column * v, -1, keepdims=True) < 0.0, -1.0, 1.0)
+    axis = column / xp.sqrt(xp.sum(column * column, -1, keepdims=True))
+    large = axis * xp.arctan2(xp.sum(axis * v, -1), cosine)[..., None]
+    # For small θ, θ/sin θ = 1 + sin²θ/6 to the last bit.
+    is_small = square < np.finfo(r.dtype).eps
     sine = xp.sqrt(xp.where(is_small, 1.0, square))
     factor = xp.where(is_small, 1.0 + square / 6.0, xp.arctan2(sine, cosine) / sine)
-    return factor[..., None] * v
+    return xp.where(is_large[..., 0], large, factor[..., None] * v)
 
 
 def rotation_from_rpy(rpy: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:

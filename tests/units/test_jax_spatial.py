@@ -33,18 +33,21 @@ def test_roll_pitch_yaw_and_back():
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_logarithm_and_its_derivative(dtype):
-    """Inverse of the exponential to 8 roundings, a small turn included; finite derivatives, at the identity too."""
-    angles = np.array([0.0, 1e-30, 1e-9, 3e-4, 0.1, 1.5, 3.0], dtype)
+    """Inverse of the exponential to 8 roundings, small and large turns included; finite derivatives, at the ends too."""
+    angles = np.array([0.0, 1e-30, 1e-9, 3e-4, 0.1, 1.5, 3.0, 3.14], dtype)
     vectors = jnp.asarray(angles[:, None] * np.array([0.6, 0.0, -0.8], dtype))
     rotations = spatial.exp_so3(vectors)
     found = spatial.log_so3(rotations)
     assert found.dtype == dtype
-    # Entries of a rotation carry one rounding; at 3 rad the sine is 0.14 and magnifies it by 3/0.14.
-    assert np.allclose(found, vectors, rtol=0, atol=8 * np.finfo(dtype).eps * 3.0 / 0.14)
+    assert np.allclose(found, vectors, rtol=0, atol=8 * np.finfo(dtype).eps * np.pi)
     assert np.array_equal(spatial.log_so3(jnp.eye(3, dtype=dtype)), np.zeros(3))
     slopes = jax.vmap(jax.jacrev(spatial.log_so3))(rotations)
     assert np.all(np.isfinite(slopes))
     assert np.allclose(slopes[0], jax.jacrev(spatial.vee_of_skew_part)(rotations[0]), rtol=0, atol=1e-7)
+    for signs in ([1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]):
+        half_turn = jnp.diag(jnp.array(signs, dtype))
+        assert np.allclose(spatial.log_so3(half_turn), np.pi * np.maximum(signs, 0.0), rtol=0, atol=np.finfo(dtype).eps)
+        assert np.all(np.isfinite(jax.jacrev(spatial.log_so3)(half_turn)))
 
 
 @pytest.mark.parametrize("pitch", [-np.pi / 2, np.pi / 2])

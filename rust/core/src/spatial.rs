@@ -78,12 +78,20 @@ pub fn rotation_angle(r: &Matrix3<f64>) -> f64 {
     libm::atan2(vee_of_skew_part(r).norm(), 0.5 * (r.trace() - 1.0))
 }
 
-/// Rotation vector \[rad\] of a rotation by less than half a turn: inverse of [`exp_so3`]. Accurate near the
-/// identity, where `acos` would lose half of the digits.
+/// Rotation vector \[rad\] of a rotation by at most half a turn: inverse of [`exp_so3`]. Accurate near the
+/// identity, where `acos` would lose half of the digits, and near half a turn, where the antisymmetric part vanishes; the
+/// axis of exactly half a turn has either sign.
 #[must_use]
 pub fn log_so3(r: &Matrix3<f64>) -> Vector3<f64> {
     let along = vee_of_skew_part(r);
-    let sine = along.norm();
+    let (sine, cosine) = (along.norm(), 0.5 * (r.trace() - 1.0));
+    if cosine < 0.0 {
+        // (R + Rᵀ)/2 − c I = (1 − c) k kᵀ: each column is along the axis k, and the longest has the greatest diagonal entry.
+        let outer = 0.5 * (r + r.transpose()) - Matrix3::from_diagonal_element(cosine);
+        let axis = outer.column(outer.diagonal().imax()).normalize();
+        let sign = if axis.dot(&along) < 0.0 { -1.0 } else { 1.0 };
+        return axis * (sign * rotation_angle(r));
+    }
     if sine > 0.0 { along * (rotation_angle(r) / sine) } else { along }
 }
 

@@ -9,7 +9,7 @@ use flight_core::control::{CommandStatus, Modes};
 use flight_core::spatial::axis_angle;
 use flight_core::timing::Exceeded;
 use flight_io::load_robot;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 const LIMITS: SupervisorConfig =
     SupervisorConfig { horizon: 0.5, rotation: 0.6, position: 0.4, joint_velocity: 2.0, confirmation: 0.03 };
@@ -53,7 +53,7 @@ fn says(change: impl Fn(&mut Sample, &mut Setpoint)) -> (CommandStatus, Modes) {
 #[test]
 fn errors_count_with_their_rates() {
     type Change = fn(&mut Sample, &mut Setpoint);
-    let cases: [(&str, bool, Change); 12] = [
+    let cases: [(&str, bool, Change); 14] = [
         ("nothing", false, |_, _| {}),
         ("0.38 m beside it", false, |_, setpoint| setpoint.com_position.y += 0.38),
         ("0.42 m beside it", true, |_, setpoint| setpoint.com_position.y -= 0.42),
@@ -71,6 +71,13 @@ fn errors_count_with_their_rates() {
         }),
         ("turned by 0.58 rad", false, |_, setpoint| setpoint.rotation *= axis_angle(&Vector3::y(), 0.58)),
         ("turned by 0.62 rad", true, |_, setpoint| setpoint.rotation *= axis_angle(&Vector3::z(), -0.62)),
+        ("level", false, |sample, setpoint| {
+            (sample.state.base.rotation, setpoint.rotation) = (Matrix3::identity(), Matrix3::identity());
+        }),
+        ("upside down, to the last bit", true, |sample, setpoint| {
+            let half_turn = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+            (sample.state.base.rotation, setpoint.rotation) = (Matrix3::identity(), half_turn);
+        }),
         ("0.3 rad, growing by 1 rad/s", true, |sample, setpoint| {
             setpoint.rotation = axis_angle(&Vector3::z(), -0.3) * setpoint.rotation;
             sample.state.velocity[5] = 1.0;
