@@ -29,6 +29,8 @@ pub struct Measuring {
     outages: Outages,
     /// Engines whose speed is measured in place of the thrust; empty for none.
     shafts: Vec<Shaft>,
+    /// Thrusts of the last tick \[N\], which an outage that begins after it freezes.
+    thrust: Vec<f64>,
     /// Measurement of the tick.
     sample: OwnedMeasurement,
 }
@@ -65,6 +67,7 @@ impl Measuring {
             controller_wind,
             outages: Outages::new(&disturbances.outages, &robot.jets)?,
             shafts,
+            thrust: vec![0.0; jets],
             sample: OwnedMeasurement::zero(joints, jets, feet),
         })
     }
@@ -90,6 +93,12 @@ impl Measuring {
         self.sample.state.copy_from(seen);
         self.sample.thrust.copy_from_slice(thrust);
         self.outages.spoil(time, &mut self.sample);
+        self.thrust.copy_from_slice(&self.sample.thrust);
+        self.measure_shafts();
+    }
+
+    /// Replaces thrusts by the speeds of shafts, where those are measured.
+    fn measure_shafts(&mut self) {
         let OwnedMeasurement { thrust, shaft_speed, .. } = &mut self.sample;
         for ((thrust, speed), shaft) in thrust.iter_mut().zip(shaft_speed).zip(&self.shafts) {
             *speed = if thrust.is_finite() { shaft.speed(*thrust) } else { f64::NAN };
@@ -105,7 +114,9 @@ impl Measuring {
         let state = &mut self.sample.state;
         state.joint_position.as_mut_slice().copy_from_slice(position);
         state.velocity.as_mut_slice()[6..].copy_from_slice(velocity);
+        self.sample.thrust.copy_from_slice(&self.thrust);
         self.outages.spoil(time + after, &mut self.sample);
+        self.measure_shafts();
         let state = &self.sample.state;
         JointMeasurement { position: state.joint_position.as_slice(), velocity: state.joint_velocity() }
     }

@@ -4,14 +4,15 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::engines::{engines, model};
-use crate::common::{assert_says, assert_within, experiment, relative};
-use flight_core::jets::ShaftConfig;
+use crate::common::{assert_says, assert_within, experiment, relative, robot};
+use flight_core::jets::{Shaft, ShaftConfig};
 use flight_core::robot::{Frame, Jet};
 use flight_core::spatial::Pose;
-use flight_sim::Scenario;
-use flight_sim::disturbances::JetFaultsConfig;
+use flight_sim::disturbances::{JetFaultsConfig, Outage, OutageChannel, OutageKind};
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig, ThrustFeedback};
+use flight_sim::measuring::Measuring;
 use flight_sim::turbine::TurbineConfig;
+use flight_sim::{Scenario, Wind};
 use nalgebra::Vector3;
 
 const DT: f64 = 0.01;
@@ -255,14 +256,53 @@ fn noise_must_be_meaningful() {
     assert_refused(&second_order(|c| c.ekf.q[0][1] = f64::NAN), &["ekf.Q[0][1] is NaN"]);
 }
 
+/// Thrusts that freeze between two ticks keep those of the tick before, whether they are measured as such or by speeds.
+#[test]
+fn a_frozen_thrust_is_the_one_before() {
+    let mut config = experiment("test2");
+    config.disturbances.outages = vec![Outage {
+        jet: None,
+        channel: OutageChannel::Thrust,
+        kind: OutageKind::Frozen,
+        start: 0.015,
+        duration: None,
+        error: 1.0,
+    }];
+    let (robot, wind) = (robot("ironcub_mk1"), Wind::new(&config.wind).unwrap());
+    let state = config.simulator.initial.state();
+    let shaft = Shaft::new("simulator.jets.shaft", shaft_config(), 200.0).unwrap();
+    for shafts in [Vec::new(), vec![shaft; 4]] {
+        let mut measuring = Measuring::new(&config, &robot, shafts, &wind, 0).unwrap();
+        let mut seen = Vec::new();
+        for (tick, thrust) in [[100.0; 4], [110.0; 4], [120.0; 4]].iter().enumerate() {
+            let time = 0.01 * tick as f64;
+            measuring.measure(time, (&state, thrust), [], &Vector3::zeros());
+            let sample = measuring.sample();
+            seen.push(if sample.thrust[0].is_nan() {
+                shaft.thrust(sample.shaft_speed[0])
+            } else {
+                sample.thrust[0]
+            });
+            let _ = measuring.measure_joints(time, 0.005, &state);
+        }
+        for (seen, thrust) in seen.iter().zip([100.0, 110.0, 110.0]) {
+            assert_within!(relative(*seen, thrust), 1e-12, "{seen} for {thrust}");
+        }
+    }
+}
+
+fn shaft_config() -> ShaftConfig {
+    toml::from_str(
+        "idle = 0.3\nramps = [0.1, 0.1]\nlags = [1.2, 1.6]\naccelerations = [0.1, 0.4]\nexponent = 2.0\nsquare_share = 0.1",
+    )
+    .unwrap()
+}
+
 /// A controller is given the speed in place of the thrust, and has the thrust from it; engines without a shaft have none.
 #[test]
 fn feedback_may_be_the_speed_of_the_shaft() {
     let mut config = experiment("robot");
-    let shaft: ShaftConfig = toml::from_str(
-        "idle = 0.3\nramps = [0.1, 0.1]\nlags = [1.2, 1.6]\naccelerations = [0.1, 0.4]\nexponent = 2.0\nsquare_share = 0.1",
-    )
-    .unwrap();
+    let shaft = shaft_config();
     let speeds = |shaft| second_order(|c| (c.feedback, c.shaft) = (ThrustFeedback::Speed, shaft));
     config.simulator.sensors = None;
     config.simulator.jets = speeds(None);
