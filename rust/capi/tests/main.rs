@@ -431,7 +431,8 @@ fn a_flight_of_the_robot_in_c_is_that_of_the_crate() {
     let folder = tempfile::tempdir().unwrap();
     let windy = folder.path().join("windy.toml");
     let wind = "wind = { profile = \"ramp\", velocity = [0.0, -5.0, 0.0], ramp_start = 0.1, ramp_end = 1.0 }";
-    std::fs::write(&windy, format!("base = {:?}\n{wind}\n", config("test2_observer"))).unwrap();
+    let heavier = "disturbances.model_error = { mass_scale = 1.02, of_plant = true }";
+    std::fs::write(&windy, format!("base = {:?}\n{wind}\n{heavier}\n", config("test2_observer"))).unwrap();
     let mut expected = flight_sim::Scenario::new(&load_scenario(&windy).unwrap()).unwrap().begin();
     let c = create(&windy).unwrap();
     let path = CString::new(windy.to_str().unwrap()).unwrap();

@@ -70,7 +70,8 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// Builds a robot in its initial state and checks the configuration.
+    /// Builds a robot in its initial state, with the errors that `disturbances` gives the plant, and checks the
+    /// configuration.
     ///
     /// # Errors
     /// [`BuildError`] naming the item that is invalid.
@@ -92,6 +93,7 @@ impl Plant {
         disturbances: &Disturbances,
         torque_steps: u32,
     ) -> Result<Self, BuildError> {
+        let robot = disturbances.simulated_robot(robot)?;
         config.check(&robot)?;
         if torque_steps == 0 || !config.substeps.is_multiple_of(torque_steps) {
             let expected = format!("a multiple of controller.torque.steps, {torque_steps}");

@@ -60,8 +60,7 @@ impl Scenario {
         let time_step = config.simulator.time_step;
         let disturbances = &config.disturbances;
         let torque_steps = config.controller.law.torque.steps;
-        let simulated = disturbances.simulated_robot(robot.clone())?;
-        let plant = Plant::with_torque_steps(simulated, &config.simulator, disturbances, torque_steps)?;
+        let plant = Plant::with_torque_steps(robot.clone(), &config.simulator, disturbances, torque_steps)?;
         if let Some(sensors) = config.simulator.sensors.as_ref().filter(|_| torque_steps > 1) {
             let expected = "0 with controller.torque.steps above 1: joints are measured between two ticks";
             check("simulator.sensors.joints.delay", sensors.joints.delay, |delay| delay == 0.0, expected)?;
