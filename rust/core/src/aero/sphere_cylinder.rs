@@ -186,7 +186,7 @@ impl SphereCylinder {
         match link.shape {
             Shape::Sphere => link.half_density_area * self.sphere_drag(reynolds) * speed * v_air_i,
             Shape::Cylinder { crosswind, axial } => {
-                let drag = axial + (crosswind - axial) * sin.powi(3);
+                let drag = axial + (crosswind - axial) * (sin * sin * sin);
                 let normal = crosswind * sin * cos;
                 link.half_density_area
                     * self.cylinder_drag(reynolds)

@@ -249,7 +249,7 @@ fn solve_active(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> Option<(Vec<f
     let mut held = Vec::new();
     for (k, multiplier) in multipliers.iter().enumerate() {
         let normal = qp.normals.column(k);
-        let length = normal.iter().zip(&roots).map(|(c, root)| (c / root).powi(2)).sum::<f64>().sqrt();
+        let length = normal.iter().zip(&roots).map(|(c, root)| (c / root) * (c / root)).sum::<f64>().sqrt();
         if length > 0.0 && multiplier * length > (qp.limit[k] - normal.dot(&point)) / length {
             held.push((k, length));
         }

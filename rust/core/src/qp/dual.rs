@@ -293,7 +293,8 @@ impl DualActiveSet {
             let free: f64 = linalg::dot(&self.d[q..], &self.d[q..]);
             let whole: f64 = linalg::dot(&self.d, &self.d);
             Self::solve_triangle(n, &self.r, q, &self.d, &mut self.dual_step);
-            let dependent = q == n || free <= (n as f64 * f64::EPSILON).powi(2) * whole;
+            let rounding = n as f64 * f64::EPSILON;
+            let dependent = q == n || free <= rounding * rounding * whole;
             // Step length up to which all multipliers stay non-negative.
             let mut leaving = None;
             let mut dual_limit = f64::INFINITY;

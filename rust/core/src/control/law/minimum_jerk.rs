@@ -77,12 +77,12 @@ impl MinimumJerkFilter {
     pub fn new(smoothing_time: f64, time_step: f64) -> Self {
         let t = smoothing_time;
         let half = 0.5 * time_step;
-        let continuous = Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, -A / t.powi(3), -B / t.powi(2), -C / t);
+        let continuous = Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, -A / (t * t * t), -B / (t * t), -C / t);
         // I − hA/2 is invertible: all coefficients of H are positive, so its determinant is > 1 for every h, T > 0.
         let inverse = (Matrix3::identity() - continuous * half).try_inverse().unwrap_or_else(Matrix3::zeros);
         Self {
             transition: inverse * (Matrix3::identity() + continuous * half),
-            input_gain: inverse * Vector3::new(0.0, 0.0, half * A / t.powi(3)),
+            input_gain: inverse * Vector3::new(0.0, 0.0, half * A / (t * t * t)),
             lags: [t * B / A, t * t * C / A],
         }
     }
