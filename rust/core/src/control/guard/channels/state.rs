@@ -130,10 +130,10 @@ impl ChannelsState {
     }
 }
 
-/// Brings numbers into `[−greatest, greatest]`.
+/// Brings numbers into `[−greatest, greatest]`; NaN stays NaN.
 pub(super) fn bound(numbers: &mut [f64], greatest: &[f64]) {
     for (number, most) in numbers.iter_mut().zip(greatest) {
-        *number = number.max(-most).min(*most);
+        *number = number.clamp(-most, *most);
     }
 }
 
