@@ -33,7 +33,7 @@ def test_roll_pitch_yaw_and_back():
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_logarithm_and_its_derivative(dtype):
-    """Inverse of the exponential to 8 roundings, small and large turns included; finite derivatives, at the ends too."""
+    """Inverse of the exponential to 8 roundings, for small and large turns; finite derivatives, at the ends too."""
     angles = np.array([0.0, 1e-30, 1e-9, 3e-4, 0.1, 1.5, 3.0, 3.14], dtype)
     vectors = jnp.asarray(angles[:, None] * np.array([0.6, 0.0, -0.8], dtype))
     rotations = spatial.exp_so3(vectors)
