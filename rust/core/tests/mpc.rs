@@ -614,8 +614,22 @@ fn check_excesses(is_descending: bool) {
     };
     let (plan, first, inputs) = search(0.0);
     assert_ne!(first, inputs, "no value was beyond its limit");
-    assert_eq!(search(f64::NAN), (plan, first, inputs.clone()), "another plan counts");
+    assert_eq!(search(f64::NAN), (plan.clone(), first, inputs.clone()), "another plan counts");
     assert!(case.thrust[1] + mpc.knots[0] * inputs[horizon.thrust_input(0, 1)] < 40.0);
+
+    // The factorisations of all QPs count together; where they do not suffice, the last plan stays.
+    let needed = plan.answer().unwrap().iterations;
+    for limit in [1, needed - 1, needed] {
+        let (mut horizon, mut inputs) = (horizon.clone(), vec![0.0; base.len()]);
+        let mut solver = PrimalActiveSet::new(base.len()).with_iteration_limit(limit);
+        let mut plan = Plan::none(base.len(), 0);
+        let is_found =
+            PredictiveLaw::search(&mut horizon, &mut solver, &model, terms, &limits, &mut inputs, &mut plan);
+        let answer = plan.answer().unwrap();
+        assert!(answer.iterations <= limit);
+        let expected = if limit < needed { QpStatus::IterationLimit } else { QpStatus::Solved };
+        assert_eq!((is_found, answer.status), (limit >= needed, expected));
+    }
 
     let clearance = mpc.clearance.as_ref().unwrap();
     let (least_distance, weight) =

@@ -39,8 +39,12 @@ from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
 from jax_aero.types import Array, Setpoint
 
-EXCESS_PASSES = 30
-"""Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there."""
+FACTORISATIONS_MAX = 300
+"""Limit of the factorisations of one plan, over all its QPs.
+
+Each QP has the values beyond their limits that the last answer brought there. Where they do not suffice, the last plan is
+followed.
+"""
 
 PLAN_SHARE = 0.25
 """A plan is followed for at most this part of the horizon; by then the momentum QP decides."""
@@ -49,7 +53,7 @@ PLAN_SHARE = 0.25
 class _Search(NamedTuple):
     """The search for the values beyond their limits."""
 
-    passes: Int[Array, ""]
+    factorisations: Int[Array, ""]
     inputs: Float[Array, " u"]
     """Inputs at which the cost is least so far."""
     beyond: Int[Array, " m"]
@@ -119,7 +123,8 @@ class PredictiveLaw:
         # Differentiated once, with the values beyond their limits that have been found.
         x = qp.solve(ahead.problem(search.beyond, *bounds), search.answer.warm_start).x
         is_unending = (search.answer.status == qp.SOLVED) & ~search.is_found
-        answer = search.answer._replace(status=jnp.where(is_unending, qp.ITERATION_LIMIT, search.answer.status))
+        status = jnp.where(is_unending, qp.ITERATION_LIMIT, search.answer.status)
+        answer = search.answer._replace(status=status, iterations=search.factorisations)
         return Plan(
             inputs=jnp.where(search.is_found, x, last.inputs),
             since=jnp.where(search.is_found, now.time, last.since),
@@ -229,16 +234,18 @@ def _find_beyond(ahead: Horizon, bounds: tuple[Array, Array], last: Plan) -> _Se
 
     def is_running(search: _Search) -> Array:
         is_solved = search.answer.status == qp.SOLVED
-        return ~search.is_found & is_solved & (search.passes < EXCESS_PASSES)
+        return ~search.is_found & is_solved & (search.factorisations < FACTORISATIONS_MAX)
 
     def one(search: _Search) -> _Search:
         answer = qp.solve(ahead.problem(search.beyond, *bounds), search.answer.warm_start)
+        factorisations = search.factorisations + answer.iterations
         is_found = (answer.status == qp.SOLVED) & jnp.all(ahead.beyond(answer.x) == search.beyond)
+        is_found &= factorisations <= FACTORISATIONS_MAX
         # The cost falls along the way; its least point has other values beyond their limits.
-        share = jnp.where(search.passes == 0, 1.0, ahead.least_on_way(search.inputs, answer.x))
+        share = jnp.where(search.factorisations == 0, 1.0, ahead.least_on_way(search.inputs, answer.x))
         inputs = search.inputs + share * (answer.x - search.inputs)
         beyond = jnp.where(is_found, search.beyond, ahead.beyond(inputs))
-        return _Search(search.passes + 1, inputs, beyond, answer, is_found)
+        return _Search(factorisations, inputs, beyond, answer, is_found)
 
     beyond = jnp.where(jnp.isfinite(last.since), ahead.beyond(last.inputs), 0).astype(jnp.int8)
     begun = last.answer._replace(status=jnp.full_like(last.answer.status, qp.SOLVED))

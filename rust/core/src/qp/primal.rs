@@ -79,6 +79,24 @@ impl QpSolver for PrimalActiveSet {
     /// `SizeMismatch`, which is also the status for a problem with active rows; for the other failures it is the best
     /// feasible point reached.
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
+        self.solve_at_most(self.iteration_limit, qp)
+    }
+
+    fn solve_from(&mut self, start: &mut WarmStart, qp: &QpProblem) -> QpAnswer {
+        self.solve_from_at_most(self.iteration_limit, start, qp)
+    }
+
+    fn x(&self) -> &[f64] {
+        &self.warm.x
+    }
+
+    fn multipliers(&self) -> &[f64] {
+        &[]
+    }
+}
+
+impl PrimalActiveSet {
+    fn solve_at_most(&mut self, limit: u32, qp: &QpProblem) -> QpAnswer {
         let rows = if qp.is_box() { qp.rows() } else { 0 };
         let loaded = qp.check(self.n, rows).and_then(|()| self.scaled.load(qp));
         if let Err(status) = loaded {
@@ -86,7 +104,7 @@ impl QpSolver for PrimalActiveSet {
         }
         self.start();
         let mut iterations = 0;
-        let end = self.descend(&mut iterations);
+        let end = self.descend(limit, &mut iterations);
         if end == QpStatus::NonFinite {
             return QpAnswer { iterations, ..QpAnswer::from_status(end) };
         }
@@ -102,23 +120,19 @@ impl QpSolver for PrimalActiveSet {
         answer
     }
 
-    fn solve_from(&mut self, start: &mut WarmStart, qp: &QpProblem) -> QpAnswer {
+    /// As [`QpSolver::solve_from`], in at most `limit` factorisations.
+    pub(crate) fn solve_from_at_most(
+        &mut self,
+        limit: u32,
+        start: &mut WarmStart,
+        qp: &QpProblem,
+    ) -> QpAnswer {
         self.warm.copy_from(start);
-        let answer = self.solve(qp);
+        let answer = self.solve_at_most(limit, qp);
         start.copy_from(&self.warm);
         answer
     }
 
-    fn x(&self) -> &[f64] {
-        &self.warm.x
-    }
-
-    fn multipliers(&self) -> &[f64] {
-        &[]
-    }
-}
-
-impl PrimalActiveSet {
     /// Allocates for problems in `n` variables. The first solve starts from `clamp(0)` with no variable held.
     #[must_use]
     pub fn new(n: usize) -> Self {
@@ -146,6 +160,11 @@ impl PrimalActiveSet {
     pub fn with_iteration_limit(mut self, limit: u32) -> Self {
         self.iteration_limit = limit;
         self
+    }
+
+    /// Greatest number of factorisations of a solve.
+    pub(crate) fn iteration_limit(&self) -> u32 {
+        self.iteration_limit
     }
 
     /// Discards the last answer and its working set: the next solve starts cold.
@@ -177,10 +196,10 @@ impl PrimalActiveSet {
     }
 
     /// The active-set loop. `Solved` means that it found the correct working set.
-    fn descend(&mut self, iterations: &mut u32) -> QpStatus {
+    fn descend(&mut self, limit: u32, iterations: &mut u32) -> QpStatus {
         let mut corrections = 0;
         loop {
-            if *iterations >= self.iteration_limit {
+            if *iterations >= limit {
                 return QpStatus::IterationLimit;
             }
             *iterations += 1;

@@ -18,7 +18,7 @@ pub mod config;
 pub mod horizon;
 pub mod model;
 pub mod plan;
-pub mod prediction;
+pub(crate) mod prediction;
 
 use super::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
@@ -37,8 +37,9 @@ use model::Linearised;
 use nalgebra::Vector6;
 use plan::Plan;
 
-/// Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there.
-const EXCESS_PASSES: u32 = 30;
+/// Limit of the factorisations of one plan, over all its QPs: each has the values beyond their limits that the last answer
+/// brought there, and takes at least one. With it the plan has no answer, and the last one is followed.
+const FACTORISATIONS_MAX: u32 = 300;
 /// A plan is followed for at most this part of the horizon; by then the momentum QP decides.
 const PLAN_SHARE: f64 = 0.25;
 
@@ -119,7 +120,7 @@ impl PredictiveLaw {
             wrenches: vec![Vector6::zeros(); horizon.knots()],
             links: LinkForces::new(robot),
             inputs: vec![0.0; horizon.problem.len()],
-            solver: PrimalActiveSet::new(horizon.problem.len()),
+            solver: PrimalActiveSet::new(horizon.problem.len()).with_iteration_limit(FACTORISATIONS_MAX),
             model: Linearised::new(robot, joints),
             horizon,
         })
@@ -199,8 +200,8 @@ impl PredictiveLaw {
         Self::search(horizon, solver, model, terms, joint_limits, inputs, &mut state.plan)
     }
 
-    /// Searches the inputs of least cost, with what they bring beyond its limits, from the last plan; `false` without a
-    /// certified answer. Public for benchmarks.
+    /// Searches the inputs of least cost, with what they bring beyond its limits, from the last plan, in as many factorisations
+    /// as the solver's limit; `false` without a certified answer. Public for benchmarks.
     #[doc(hidden)]
     pub fn search(
         horizon: &mut Horizon,
@@ -215,9 +216,13 @@ impl PredictiveLaw {
         if since.is_some() {
             horizon.update_excess(model, terms, joint_limits, last);
         }
-        for pass in 0..EXCESS_PASSES {
-            let found = solver.solve_from(warm, &horizon.problem);
-            *answer = Some(found).filter(|found| !found.kkt.is_nan());
+        let (mut factorisations, mut is_first) = (0, true);
+        loop {
+            let left = solver.iteration_limit() - factorisations;
+            let found = solver.solve_from_at_most(left, warm, &horizon.problem);
+            factorisations += found.iterations;
+            *answer =
+                Some(QpAnswer { iterations: factorisations, ..found }).filter(|found| !found.kkt.is_nan());
             if found.status != QpStatus::Solved {
                 return false;
             }
@@ -227,7 +232,7 @@ impl PredictiveLaw {
                 *since = Some(*tried);
                 return true;
             }
-            if pass == 0 {
+            if std::mem::take(&mut is_first) {
                 inputs.copy_from_slice(to);
                 continue; // H and g have what these inputs bring beyond its limits
             }
@@ -238,8 +243,6 @@ impl PredictiveLaw {
             }
             horizon.update_excess(model, terms, joint_limits, inputs);
         }
-        *answer = answer.map(|found| QpAnswer { status: QpStatus::IterationLimit, ..found });
-        false
     }
 
     /// The motion to follow at the end of every knot, as rotation vectors from the present attitude.

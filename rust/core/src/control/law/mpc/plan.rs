@@ -31,6 +31,12 @@ impl Plan {
         }
     }
 
+    /// Answer of the last attempt, with the factorisations of all its QPs; `None` without one.
+    #[must_use]
+    pub fn answer(&self) -> Option<QpAnswer> {
+        self.answer
+    }
+
     /// Number of unknowns.
     #[must_use]
     pub fn len(&self) -> usize {
