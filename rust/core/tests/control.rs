@@ -8,7 +8,7 @@ use crate::common::{
     rng, robot, tick_at, uniform_estimator,
 };
 use crate::setpoint::distance_to_rest;
-use flight_core::control::config::{Fallback, Solver};
+use flight_core::control::config::Solver;
 use flight_core::control::guard::channels::Jumps;
 use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::control::guard::wind_observer::WindObserverConfig;
@@ -675,13 +675,8 @@ fn without_jets_no_thrust_rate_is_commanded() {
 fn without_a_momentum_answer_nothing_moves() {
     let mut config = experiment("test2");
     config.controller.law.weights.momentum = 1e305;
-    for (solver, fallback) in [
-        (Solver::ActiveSet, Fallback::Hold),
-        (Solver::ActiveSet, Fallback::Clarabel),
-        (Solver::Clarabel, Fallback::Clarabel),
-    ] {
+    for solver in [Solver::ActiveSet, Solver::Clarabel] {
         config.controller.law.qp.solver = solver;
-        config.controller.law.qp.fallback = fallback;
         let mut controller = controller(&config);
         let mut sample = Sample::start(&config);
         sample.state.velocity[6 + 3] = 0.4;
@@ -712,19 +707,14 @@ fn a_singular_momentum_qp_is_said_to_be_one() {
     (weights.joint_velocity, weights.posture, weights.symmetry) = (0.0, 0.0, 0.0);
     weights.thrust_rate.values_mut().for_each(|weight| *weight = 0.0);
     weights.regularisation = 1e-18;
-    let mut tick = |fallback| {
-        config.controller.law.qp.fallback = fallback;
-        Sample::start(&config).tick(&mut controller(&config)).clone()
-    };
-    let (held, asked) = (tick(Fallback::Hold), tick(Fallback::Clarabel));
-    for command in [&held, &asked] {
+    for solver in [Solver::ActiveSet, Solver::Clarabel] {
+        config.controller.law.qp.solver = solver;
+        let command = Sample::start(&config).tick(&mut controller(&config)).clone();
         assert_eq!(command.status, CommandStatus::MomentumHeld);
         assert_eq!(command.rates_qp.status, QpStatus::NotPositiveDefinite);
         assert_eq!(command.torque_qp.status, QpStatus::Solved);
         assert_eq!(command.thrust_rate.amax(), 0.0);
-    }
-    // The answer is that of the last method; both refuse before their first iteration.
-    for command in [held, asked] {
+        // Refused before the first iteration.
         assert_eq!(command.rates_qp.iterations, 0);
         assert!(command.rates_qp.kkt.is_nan());
     }
@@ -739,8 +729,8 @@ fn without_a_torque_answer_torques_stay() {
     start.tick(&mut sound);
     let mut spoilt_config = config.clone();
     spoilt_config.controller.law.torque.weight_acceleration = 1e306;
-    for fallback in [Fallback::Hold, Fallback::Clarabel] {
-        spoilt_config.controller.law.qp.fallback = fallback;
+    for solver in [Solver::ActiveSet, Solver::Clarabel] {
+        spoilt_config.controller.law.qp.solver = solver;
         let mut controller = controller(&spoilt_config);
         let command = start.tick(&mut controller);
         assert_eq!(command.status, CommandStatus::TorqueHeld);
@@ -833,15 +823,6 @@ fn clarabel_commands_the_same() {
     let mut other = config.clone();
     other.controller.law.qp.solver = Solver::Clarabel;
     compare(&config, &other, 1.5, Vector3::new(-25.0, 30.0, 0.0), 1e-6);
-}
-
-/// Either fallback is the same controller as long as the solver answers.
-#[test]
-fn the_fallback_does_nothing_while_there_are_answers() {
-    let config = experiment("test2");
-    let mut other = config.clone();
-    other.controller.law.qp.fallback = Fallback::Hold;
-    compare(&config, &other, 1.0, wind(), 0.0);
 }
 
 /// The baseline is the aware controller whose forces are zero: scaled away, or because there is no wind

@@ -19,7 +19,7 @@ use episode::Episodes;
 use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
-use flight_core::control::config::{Fallback, Solver};
+use flight_core::control::config::Solver;
 use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::config::AeroKinematics;
@@ -125,25 +125,19 @@ fn the_predictive_law_does_not_allocate() {
     assert_no_allocations("plans of a descent", &config, 1.0, SIDE);
 }
 
-/// Calm flight, through climb and turbo, with either fallback.
+/// Calm flight, through climb and turbo.
 #[test]
 fn a_calm_tick_does_not_allocate() {
-    for fallback in [Fallback::Hold, Fallback::Clarabel] {
-        let config = with("test2", |config| config.controller.law.qp.fallback = fallback);
-        let (_, nominal) = assert_no_allocations(&format!("{fallback:?}"), &config, 25.0, SIDE);
-        assert!(nominal);
-    }
+    let (_, nominal) = assert_no_allocations("calm", &experiment("test2"), 25.0, SIDE);
+    assert!(nominal);
 }
 
-/// A robot that is being lost, with most unknowns at their bounds, with either fallback.
+/// A robot that is being lost, with most unknowns at their bounds.
 #[test]
 fn a_saturated_tick_does_not_allocate() {
-    for fallback in [Fallback::Hold, Fallback::Clarabel] {
-        let config = with("test1_published", |config| config.controller.law.qp.fallback = fallback);
-        let (active, nominal) =
-            assert_no_allocations(&format!("{fallback:?}"), &config, 3.0, Vector3::new(9.0, -20.0, 0.0));
-        assert!(nominal && active >= 15, "nominal: {nominal}, {active} bounds active at most");
-    }
+    let config = experiment("test1_published");
+    let (active, nominal) = assert_no_allocations("lost", &config, 3.0, Vector3::new(9.0, -20.0, 0.0));
+    assert!(nominal && active >= 15, "nominal: {nominal}, {active} bounds active at most");
 }
 
 /// Every model and quirk, sub-steps, second-order engines.
@@ -179,8 +173,8 @@ fn no_model_allocates() {
     }
 }
 
-/// Holding allocates no more than flying does: with the fallback of the shipped configuration also a tick without
-/// answers, after every method was tried, or one that measures a number that is not finite.
+/// Holding allocates no more than flying does: a tick without answers, after every method was tried, or one that measures a
+/// number that is not finite.
 #[test]
 fn a_tick_that_holds_does_not_allocate() {
     let unanswerable = with("test2", |config| {
@@ -240,39 +234,36 @@ fn clarabel_allocates() {
     assert!(allocations(|| flight.observe(&SIDE)) > 10);
 }
 
-/// A robot that stands: feet that carry, that let go and carry again, with either fallback.
+/// A robot that stands: feet that carry, that let go and carry again.
 #[test]
 fn a_tick_on_the_ground_does_not_allocate() {
-    for fallback in [Fallback::Hold, Fallback::Clarabel] {
-        let mut config = experiment("balancing_lateral");
-        config.controller.law.qp.fallback = fallback;
-        let robot = load_robot(&config.robot).unwrap();
-        let mut controller = Running::new(config.controller(robot).unwrap());
-        let mut state = config.simulator.initial.state();
-        let thrust = [0.0; 4];
-        let (mut counted, mut rows) = (0, 0);
-        for tick in 0..400 {
-            let time = f64::from(tick) * 0.01;
-            let phase = time * 5.0;
-            let carried = if tick % 100 < 90 { 212.5 } else { 0.0 };
-            state.joint_position[15] = 0.02 * phase.sin();
-            state.velocity[6 + 15] = 0.1 * phase.cos();
-            let foot = Vector6::new(0.0, 0.0, carried, 3.0 * phase.sin(), -1.2, 0.0);
-            let (wind, foot_wrenches) = (2.0 * SIDE, &[foot, foot]);
-            let measurement =
-                Measurement { time, state: &state, thrust: &thrust, shaft_speed: &[], wind, foot_wrenches };
-            let of_this_tick = allocations(|| {
-                controller.tick(&measurement);
-            });
-            if tick > 0 {
-                counted += of_this_tick;
-            }
-            assert_eq!(controller.command().status, CommandStatus::Nominal, "tick {tick}");
-            rows = rows.max(controller.command().torque_qp.active);
+    let config = experiment("balancing_lateral");
+    let robot = load_robot(&config.robot).unwrap();
+    let mut controller = Running::new(config.controller(robot).unwrap());
+    let mut state = config.simulator.initial.state();
+    let thrust = [0.0; 4];
+    let (mut counted, mut rows) = (0, 0);
+    for tick in 0..400 {
+        let time = f64::from(tick) * 0.01;
+        let phase = time * 5.0;
+        let carried = if tick % 100 < 90 { 212.5 } else { 0.0 };
+        state.joint_position[15] = 0.02 * phase.sin();
+        state.velocity[6 + 15] = 0.1 * phase.cos();
+        let foot = Vector6::new(0.0, 0.0, carried, 3.0 * phase.sin(), -1.2, 0.0);
+        let (wind, foot_wrenches) = (2.0 * SIDE, &[foot, foot]);
+        let measurement =
+            Measurement { time, state: &state, thrust: &thrust, shaft_speed: &[], wind, foot_wrenches };
+        let of_this_tick = allocations(|| {
+            controller.tick(&measurement);
+        });
+        if tick > 0 {
+            counted += of_this_tick;
         }
-        assert_eq!(counted, 0, "{fallback:?}");
-        assert!(rows > 0, "no wrench reached its limits");
+        assert_eq!(controller.command().status, CommandStatus::Nominal, "tick {tick}");
+        rows = rows.max(controller.command().torque_qp.active);
     }
+    assert_eq!(counted, 0);
+    assert!(rows > 0, "no wrench reached its limits");
 }
 
 /// Whatever flies and whatever is measured: no allocation, no panic, certified answers or none, numbers. The example

@@ -134,25 +134,12 @@ pub enum Solver {
     Clarabel,
 }
 
-/// Action when the first solver returns no certified answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Fallback {
-    /// Thrust rates and joint velocities are zero, torques keep their values. No allocation.
-    #[default]
-    Hold,
-    /// Clarabel (allocates); as `hold` if it fails too.
-    Clarabel,
-}
-
 /// Solution of the QPs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct QpConfig {
     /// Solver of every tick.
     pub solver: Solver,
-    /// Action without a certified answer.
-    pub fallback: Fallback,
 }
 
 impl QpConfig {
@@ -161,31 +148,22 @@ impl QpConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
-        for (key, is_clarabel, other) in [
-            ("solver", self.solver == Solver::Clarabel, "active_set"),
-            ("fallback", self.fallback == Fallback::Clarabel, "hold"),
-        ] {
-            if is_clarabel && !cfg!(feature = "clarabel") {
-                let expected = format!("{other}: this build lacks the feature `clarabel`");
-                return Err(BuildError::bad_value(format!("controller.qp.{key}"), "clarabel", expected));
-            }
+        if self.solver == Solver::Clarabel && !cfg!(feature = "clarabel") {
+            let expected = "active_set: this build lacks the feature `clarabel`";
+            return Err(BuildError::bad_value("controller.qp.solver", "clarabel", expected));
         }
         Ok(())
     }
 
-    /// Returns the solvers for `n` variables and `rows` rows in their order: the primal active-set method, for boxes,
-    /// then the dual one, which starts from scratch, then Clarabel where configured.
+    /// Returns the solvers for `n` variables and `rows` rows in their order: the primal active-set method, for boxes, then
+    /// the dual one, which starts from scratch; or Clarabel.
     #[must_use]
     pub fn chain(&self, n: usize, rows: usize) -> QpChain {
-        let mut methods: Vec<Box<dyn QpSolver>> = Vec::new();
-        if self.solver == Solver::ActiveSet {
-            methods.push(Box::new(PrimalActiveSet::new(n)));
-            methods.push(Box::new(DualActiveSet::new(n, rows)));
-        }
-        #[cfg(feature = "clarabel")]
-        if self.solver == Solver::Clarabel || self.fallback == Fallback::Clarabel {
-            methods.push(Box::new(ClarabelSolver::new(n, rows)));
-        }
+        let methods: Vec<Box<dyn QpSolver>> = match self.solver {
+            #[cfg(feature = "clarabel")]
+            Solver::Clarabel => vec![Box::new(ClarabelSolver::new(n, rows))],
+            _ => vec![Box::new(PrimalActiveSet::new(n)), Box::new(DualActiveSet::new(n, rows))],
+        };
         QpChain::new(methods)
     }
 }
