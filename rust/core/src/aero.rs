@@ -11,16 +11,16 @@
 //!
 //! Equation M19 of `docs/model`.
 
-pub mod attack;
+pub(crate) mod attack;
 pub mod axisymmetric;
-pub mod derivatives;
-pub mod factors;
-pub mod link_forces;
-pub mod links;
-pub mod model;
+pub(crate) mod derivatives;
+pub(crate) mod factors;
+pub(crate) mod link_forces;
+pub(crate) mod links;
+pub(crate) mod model;
 pub mod network;
-pub mod pchip;
-pub mod sphere_cylinder;
+pub(crate) mod pchip;
+pub(crate) mod sphere_cylinder;
 
 pub use attack::Attack;
 pub use axisymmetric::{Axisymmetric, AxisymmetricConfig, axisymmetric_force};

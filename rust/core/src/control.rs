@@ -23,7 +23,7 @@
 //! determined together.
 
 pub mod between;
-pub mod command;
+pub(crate) mod command;
 pub mod config;
 pub mod greatest;
 pub mod guard;
@@ -32,9 +32,9 @@ pub mod limits;
 pub mod measurement;
 pub mod modes;
 pub mod preview;
-pub mod state;
-pub mod terms;
-pub mod tick;
+pub(crate) mod state;
+pub(crate) mod terms;
+pub(crate) mod tick;
 
 pub use command::{BadCommand, Command, CommandStatus};
 pub use config::check_time_step;

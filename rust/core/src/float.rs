@@ -7,7 +7,7 @@ use std::hint::black_box;
 /// Traps cannot be seen from here; a controller raises only the inexact and underflow exceptions for finite numbers.
 #[must_use]
 #[allow(clippy::float_cmp, reason = "rounding itself is looked at")]
-pub fn unusual_mode() -> Option<&'static str> {
+pub(crate) fn unusual_mode() -> Option<&'static str> {
     const QUARTER: f64 = f64::EPSILON / 4.0;
     let (one, quarter, least) = (black_box(1.0_f64), black_box(QUARTER), black_box(f64::MIN_POSITIVE));
     let is_nearest = one + quarter == one && -one - quarter == -one && one + 3.0 * quarter > one;

@@ -1,11 +1,11 @@
 //! Jet engines: the identified model, the throttle loop that follows a thrust rate, the thrust estimator, and what a
 //! controller assumes of the thrust under its commands.
 
-pub mod ekf;
-pub mod engine;
-pub mod model;
-pub mod second_order;
-pub mod shaft;
+mod ekf;
+mod engine;
+mod model;
+mod second_order;
+mod shaft;
 
 pub use ekf::{EkfConfig, ThrustEkf};
 pub use engine::{EngineDynamics, EngineModel, RATE_GAIN, ThrustRateController};

@@ -12,6 +12,7 @@
 //! SI units and radians; vectors and Jacobians are in inertial axes unless a suffix states otherwise.
 
 #![forbid(unsafe_code)]
+#![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
 pub mod aero;
@@ -19,7 +20,7 @@ pub mod control;
 pub mod dynamics;
 pub mod error;
 mod exponential;
-pub mod float;
+pub(crate) mod float;
 pub mod jets;
 pub mod kinematics;
 pub mod linalg;

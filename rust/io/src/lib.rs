@@ -9,16 +9,17 @@
 //! [`toml`] reads TOML files with their base files; [`files`] reads the bytes of every file.
 
 #![forbid(unsafe_code)]
+#![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
-pub mod aero;
+mod aero;
 mod card;
-pub mod controller;
+mod controller;
 pub mod csv;
-pub mod files;
+mod files;
 pub mod mission;
 pub mod network;
-pub mod policy;
+mod policy;
 pub mod robot;
 mod tensors;
 pub mod toml;

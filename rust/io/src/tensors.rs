@@ -25,7 +25,7 @@ struct Entry {
 /// [`BuildError`] for bytes that are not a safetensors file; for tensors that overlap, leave gaps,
 /// or do not end with the file; and for a tensor of another type than float32, or whose size does
 /// not match its shape.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<Tensors, BuildError> {
+pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Tensors, BuildError> {
     let origin = path.display().to_string();
     let malformed = |message: String| BuildError::malformed(&origin, message);
     let (length, rest) = bytes

@@ -1,12 +1,12 @@
 //! Disturbances: errors of the controller's inputs and model, faults of its actuators, and pushes. None is part of the
 //! controller.
 
-pub mod jet_faults;
-pub mod joint_faults;
-pub mod model_error;
-pub mod outages;
-pub mod pushes;
-pub mod wind_estimate;
+mod jet_faults;
+mod joint_faults;
+mod model_error;
+mod outages;
+mod pushes;
+mod wind_estimate;
 
 pub use jet_faults::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
 pub use joint_faults::{JointFault, JointFaultKind, JointFaults};

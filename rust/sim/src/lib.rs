@@ -5,33 +5,34 @@
 //! ```
 
 #![forbid(unsafe_code)]
+#![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
-pub mod actuation;
+mod actuation;
 #[cfg(feature = "threads")]
-pub mod batch;
+mod batch;
 pub mod config;
 pub mod disturbances;
-pub mod flight;
+mod flight;
 pub mod fuel;
-pub mod ground;
+mod ground;
 pub mod jets;
 pub mod log;
 pub mod measuring;
 pub mod motors;
 pub mod noise;
 pub mod outcome;
-pub mod plant;
-pub mod replay;
-pub mod scenario;
+mod plant;
+mod replay;
+mod scenario;
 pub mod sensors;
 pub mod signals;
 pub mod summary;
 pub mod turbine;
-pub mod turbulence;
+mod turbulence;
 mod warnings;
-pub mod wind;
-pub mod world;
+mod wind;
+mod world;
 
 pub use actuation::{Actuation, ActuationConfig};
 #[cfg(feature = "threads")]

@@ -20,7 +20,7 @@ pub(super) struct Scaled {
 
 impl Scaled {
     /// Allocates for `n` variables and a Hessian of leading dimension `ld`.
-    pub fn new(n: usize, ld: usize) -> Self {
+    pub(crate) fn new(n: usize, ld: usize) -> Self {
         let zeros = || vec![0.0; n];
         Self {
             s: zeros(),
@@ -34,7 +34,7 @@ impl Scaled {
     }
 
     /// Scales `qp`; fails if a diagonal entry is not positive.
-    pub fn load(&mut self, qp: &QpProblem) -> Result<(), QpStatus> {
+    pub(crate) fn load(&mut self, qp: &QpProblem) -> Result<(), QpStatus> {
         let n = self.g.len();
         let (h, g) = (qp.h.as_slice(), qp.g.as_slice());
         for (j, (s, inverse_s)) in self.s.iter_mut().zip(&mut self.inverse_s).enumerate() {
@@ -57,17 +57,17 @@ impl Scaled {
     }
 
     /// Column `j` of the Hessian.
-    pub fn column(&self, j: usize) -> &[f64] {
+    pub(crate) fn column(&self, j: usize) -> &[f64] {
         &self.h[j * self.ld..][..self.g.len()]
     }
 
     /// Adds the scaled Hessian times `y` to `product`.
-    pub fn add_hessian_times(&self, y: &[f64], product: &mut [f64]) {
+    pub(crate) fn add_hessian_times(&self, y: &[f64], product: &mut [f64]) {
         linalg::add_mat_vec(product, &self.h, self.ld, y);
     }
 
     /// Converts `y` to `x` in the units of the problem, clamped to its bounds.
-    pub fn unscale(&self, qp: &QpProblem, y: &[f64], x: &mut [f64]) {
+    pub(crate) fn unscale(&self, qp: &QpProblem, y: &[f64], x: &mut [f64]) {
         for ((x, y), s) in x.iter_mut().zip(y).zip(&self.s) {
             *x = y * s;
         }

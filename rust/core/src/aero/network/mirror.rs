@@ -13,13 +13,13 @@ const TOLERANCE: f64 = 0.02;
 
 /// Reflection about the x-z plane of the base.
 #[must_use]
-pub fn reflect(v: &Vector3<f64>) -> Vector3<f64> {
+pub(crate) fn reflect(v: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(v.x, -v.y, v.z)
 }
 
 /// The mirror image of every joint and link.
 #[derive(Debug, Clone)]
-pub struct Mirror {
+pub(crate) struct Mirror {
     /// For every joint that is an input: the index of its image among the inputs, and the sign of the image's
     /// angle.
     pub joints: Vec<(usize, f64)>,
@@ -39,7 +39,7 @@ impl Mirror {
     ///
     /// # Errors
     /// A joint or link whose image is absent, is at another place, or turns about another axis.
-    pub fn new(robot: &RobotModel, joints: &[usize]) -> Result<Self, BuildError> {
+    pub(crate) fn new(robot: &RobotModel, joints: &[usize]) -> Result<Self, BuildError> {
         let kinematics = Kinematics::new(robot);
         let names: Vec<&str> = joints.iter().map(|&joint| robot.joints[joint].name.as_str()).collect();
         let joint_images = joints.iter().zip(&names).map(|(&joint, name)| {

@@ -13,10 +13,10 @@ use pulp::{Simd, WithSimd};
 use std::fmt::Debug;
 
 /// Values of two samples that are evaluated together; the second is the mirrored one, unused without mirroring.
-pub type Pair = [f64; 2];
+pub(crate) type Pair = [f64; 2];
 
 /// Floating-point type that the weights are converted to.
-pub trait Real: Copy + Debug + Default + 'static {
+pub(crate) trait Real: Copy + Debug + Default + 'static {
     /// Numbers in a vector of 64 bytes, the longest supported.
     const LANES: usize = 64 / size_of::<Self>();
     /// A vector of these numbers.
@@ -143,7 +143,7 @@ impl Real for f64 {
 
 /// One layer: `W x + b`.
 #[derive(Debug, Clone)]
-pub struct Layer<T> {
+pub(crate) struct Layer<T> {
     /// By panel, then input, V vectors of 64 bytes each; padding rows are zero. Aligned to cache lines: a vector across
     /// two of them is read twice.
     weights: AVec<T>,
@@ -154,7 +154,7 @@ pub struct Layer<T> {
 
 impl<T: Real> Layer<T> {
     /// A layer in panels of `V` vectors; weights by row.
-    pub fn new<const V: usize>(weights: &[f32], bias: &[f32], inputs: usize) -> Self {
+    pub(crate) fn new<const V: usize>(weights: &[f32], bias: &[f32], inputs: usize) -> Self {
         let height = V * T::LANES;
         let panels = bias.len().div_ceil(height);
         let entry = |row: usize, input: usize| weights.get(row * inputs + input).copied().unwrap_or(0.0);
@@ -173,7 +173,7 @@ impl<T: Real> Layer<T> {
     }
 
     /// Writes `activate(W x + b)` to `out` for every sample, including the padding rows.
-    pub fn apply<const V: usize, const B: usize>(
+    pub(crate) fn apply<const V: usize, const B: usize>(
         &self,
         x: &[Vec<T>; B],
         out: &mut [Vec<T>; B],
@@ -299,7 +299,7 @@ impl<T: Real, const V: usize, const B: usize> Mlp<T, V, B> {
 /// The networks in the configured precision, for one or two samples. The eight sums of a pass hide the latency
 /// of an addition and use half of sixteen vector registers.
 #[derive(Debug, Clone)]
-pub struct Evaluator(Kind);
+pub(crate) struct Evaluator(Kind);
 
 #[derive(Debug, Clone)]
 enum Kind {
@@ -311,7 +311,7 @@ enum Kind {
 
 impl Evaluator {
     /// The networks of a card, in the precision of their sums.
-    pub fn new(card: &Card, weights: &Weights, is_double: bool) -> Self {
+    pub(crate) fn new(card: &Card, weights: &Weights, is_double: bool) -> Self {
         let (Architecture { activation, mirror, .. }, widths) = (&card.architecture, &card.widths());
         Self(match (is_double, mirror) {
             (false, false) => Kind::Single(Mlp::new(weights, *activation, widths)),
@@ -322,7 +322,7 @@ impl Evaluator {
     }
 
     /// Writes the mean of the members' outputs for both samples; the second stays zero without mirroring.
-    pub fn evaluate(&mut self, inputs: &[Pair], outputs: &mut [Pair]) {
+    pub(crate) fn evaluate(&mut self, inputs: &[Pair], outputs: &mut [Pair]) {
         match &mut self.0 {
             Kind::Single(mlp) => mlp.evaluate(inputs, outputs),
             Kind::SinglePair(mlp) => mlp.evaluate(inputs, outputs),

@@ -13,7 +13,7 @@
 //! Equation M143 of `docs/model/guard.md`; Haddadin, De Luca and Albu-Schäffer, "Robot collisions", IEEE T-RO 2017, have the
 //! residual of the momentum.
 
-pub mod residual;
+pub(crate) mod residual;
 
 use crate::control::limits::JointCondition;
 use crate::timing::{Exceeded, share};

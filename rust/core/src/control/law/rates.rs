@@ -17,7 +17,7 @@ use nalgebra::{DVector, Matrix3};
 
 /// The law of one controller, with its workspace.
 #[derive(Debug)]
-pub struct Law {
+pub(crate) struct Law {
     generator: SetpointGenerator,
     solver: QpChain,
     solution: DVector<f64>,
@@ -32,7 +32,7 @@ impl Law {
     /// A law in `unknowns` unknowns that follows a mission, or given set-points; the momentum QP decides where there is no
     /// `predictive` law, or it has no plan.
     #[must_use]
-    pub fn new(
+    pub(crate) fn new(
         generator: SetpointGenerator,
         solver: QpChain,
         unknowns: usize,
@@ -45,20 +45,20 @@ impl Law {
 
     /// Its set-points from the mission.
     #[must_use]
-    pub fn generator(&self) -> &SetpointGenerator {
+    pub(crate) fn generator(&self) -> &SetpointGenerator {
         &self.generator
     }
 
     /// The predictive law, if it plans.
     #[must_use]
-    pub fn predictive(&self) -> Option<&PredictiveLaw> {
+    pub(crate) fn predictive(&self) -> Option<&PredictiveLaw> {
         self.predictive.as_ref()
     }
 
     /// Chooses the set-point of this tick: during a descent that of the descent, otherwise the `given` one, or that of
     /// the mission. Returns whether the given one is valid; if it is not, the robot brakes from the motion of the last
     /// valid one (M115).
-    pub fn choose_setpoint(
+    pub(crate) fn choose_setpoint(
         &mut self,
         state: &mut ControllerState,
         given: Option<&Setpoint>,
@@ -83,7 +83,7 @@ impl Law {
     }
 
     /// Computes thrust rates and joint velocities that control momentum and attitude.
-    pub fn solve(
+    pub(crate) fn solve(
         &mut self,
         robot: &RobotModel,
         aero: &mut AeroModel,

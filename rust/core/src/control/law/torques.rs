@@ -20,7 +20,7 @@ const SLIP: f64 = 0.02;
 
 /// The torque law of one controller, with its workspace.
 #[derive(Debug)]
-pub struct Torques {
+pub(crate) struct Torques {
     solver: QpChain,
     velocity_error: DVector<f64>,
     /// Dry friction of the drives \[N m\].
@@ -34,7 +34,7 @@ pub struct Torques {
 impl Torques {
     /// Torques of `joints` joints, every `period` \[s\].
     #[must_use]
-    pub fn new(solver: QpChain, friction: Vec<f64>, period: f64) -> Self {
+    pub(crate) fn new(solver: QpChain, friction: Vec<f64>, period: f64) -> Self {
         Self {
             solver,
             velocity_error: DVector::zeros(friction.len()),
@@ -45,7 +45,7 @@ impl Torques {
     }
 
     /// Computes torques that let the joints follow the commanded velocities.
-    pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
+    pub(crate) fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
         let Terms { measurement, inverse_mass, free_acceleration, contact, limits, torque_qp, .. } = terms;
         let friction = &mut terms.drive_friction;
         self.compare(measurement.state.joint_velocity(), command);
@@ -78,7 +78,7 @@ impl Torques {
     }
 
     /// Computes them again for other joint velocities \[rad/s, m/s\], with the model of the last [`Self::solve`].
-    pub fn solve_again(
+    pub(crate) fn solve_again(
         &mut self,
         joint_velocity: &[f64],
         state: &mut ControllerState,

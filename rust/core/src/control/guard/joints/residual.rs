@@ -9,7 +9,7 @@ use nalgebra::DVector;
 
 /// Workspace of `r`.
 #[derive(Debug, Clone)]
-pub struct JointResidual {
+pub(crate) struct JointResidual {
     /// Stops of the joints, lower and upper \[rad, m\].
     stops: Vec<(f64, f64)>,
     unexplained: DVector<f64>,
@@ -19,14 +19,14 @@ pub struct JointResidual {
 impl JointResidual {
     /// Allocates for the joints of `robot`.
     #[must_use]
-    pub fn new(robot: &RobotModel) -> Self {
+    pub(crate) fn new(robot: &RobotModel) -> Self {
         let stops: Vec<_> = robot.joints.iter().map(|joint| joint.stops).collect();
         let rows = DVector::zeros(6 + stops.len());
         Self { stops, unexplained: rows.clone(), residual: rows }
     }
 
     /// What a tick shows of the joints, after the `last` one.
-    pub fn sample<'a>(&'a mut self, terms: &Terms, last: &'a ChannelsState) -> JointSample<'a> {
+    pub(crate) fn sample<'a>(&'a mut self, terms: &Terms, last: &'a ChannelsState) -> JointSample<'a> {
         let Terms { measurement: used, dynamics, kinematics, momentum, .. } = terms;
         let velocities = used.state.velocity.iter().zip(&last.commanded_in.velocity);
         for ((to, (now, before)), predicted) in
