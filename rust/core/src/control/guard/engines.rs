@@ -241,7 +241,7 @@ impl EngineState {
 
 /// What a healthy engine may do beside the prediction.
 #[derive(Debug, Clone)]
-struct Models {
+pub struct Models {
     /// An engine that the predictions do not contain.
     lagging: Option<EngineModel>,
     /// An engine of the shaft's speed: as known, and with slower and faster ramps.

@@ -190,7 +190,7 @@ impl Bank {
 
 impl BankState {
     /// Begins again after a gap; what was measured stays.
-    pub fn interrupt(&mut self) {
+    fn interrupt(&mut self) {
         if self.ticks > 0 {
             self.response.fill(0.0);
             self.command.fill(0.0);
