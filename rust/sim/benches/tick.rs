@@ -109,7 +109,7 @@ fn policy_times() -> Result<Replays, BuildError> {
             let measurement = tick.measurement();
             let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
             controller.tick(state, &measurement);
-            let (mut terms, wrench) = (controller.terms().clone(), *state.residual_wrench());
+            let (mut terms, wrench) = (controller.terms().clone(), state.residual_wrench());
             times.push(microseconds(|| policy.act(black_box(&wrench), &mut terms)));
         }
         Ok(())
