@@ -241,38 +241,37 @@ def write_snapshot(
     require(["PIL"], "drawing a snapshot")
     from PIL import Image
 
-    picture = _draw_single if len(chosen) == 1 else _strip
-    pixels = picture(recording, chosen, renderer, size, viewpoint, progress)
-    with complete_file(out) as draft:
-        Image.fromarray(pixels).save(draft, format="PNG")
-
-
-def _draw_single(
-    recording: Recording,
-    times: list[float],
-    renderer: Renderer,
-    size: tuple[int, int],
-    viewpoint: Viewpoint,
-    progress: Progress | None,
-) -> Any:
     from jax_aero.view.labels import letter_video
 
-    with open_scene(renderer, recording, *size) as scene:
-        camera = camera_at(recording, times[0], viewpoint, DISTANCE["video"])
-        pixels = scene.picture(times[0], camera)
-        if progress is not None:
-            progress(1, 1)
+    letters, is_single = max(size[1] // 38, 9), len(chosen) == 1
+    top = int(4.6 * letters)
+    panel = size if is_single else (size[0] // len(chosen), size[1] - top - int(0.27 * size[1]))
+    distance = DISTANCE["video"] if is_single else _distance("snapshot", *panel)
+    pictures = []
+    with open_scene(renderer, recording, *panel) as scene:
+        for number, time in enumerate(chosen, 1):
+            camera = camera_at(recording, time, viewpoint, distance)
+            pictures.append(scene.picture(time, camera))
+            if progress is not None:
+                progress(number, len(chosen))
         scale = scene.pixels_per_metre(camera)
-        return letter_video(pixels, recording, times[0], scene.scales, scale, ended=[recording], end=recording.duration)
+    if is_single:
+        end = recording.duration
+        pixels = letter_video(pictures[0], recording, chosen[0], scene.scales, scale, ended=[recording], end=end)
+    else:
+        pixels = _strip(recording, chosen, pictures, size, top, letters, scale)
+    with complete_file(out) as draft:
+        Image.fromarray(pixels).save(draft, format="PNG")
 
 
 def _strip(
     recording: Recording,
     times: list[float],
-    renderer: Renderer,
+    pictures: Sequence[Any],
     size: tuple[int, int],
-    viewpoint: Viewpoint,
-    progress: Progress | None,
+    top: int,
+    letters: int,
+    scale: float,
 ) -> Any:
     """Return numbered pictures side by side; below them the path from the side with the same numbers."""
     from PIL import Image, ImageDraw
@@ -280,17 +279,10 @@ def _strip(
     from jax_aero.view import labels
 
     width, height = size
-    letters = max(height // 38, 9)
-    top, below = int(4.6 * letters), int(0.27 * height)
-    panel = width // len(times), height - top - below
     sheet = Image.new("RGB", size, labels.PAPER)
-    with open_scene(renderer, recording, *panel) as scene:
-        for i, time in enumerate(times):
-            camera = camera_at(recording, time, viewpoint, _distance("snapshot", *panel))
-            sheet.paste(Image.fromarray(scene.picture(time, camera)), (i * panel[0], top))
-            if progress is not None:
-                progress(i + 1, len(times))
-        scale = scene.pixels_per_metre(camera)
+    panel = width // len(times), len(pictures[0])
+    for i, picture in enumerate(pictures):
+        sheet.paste(Image.fromarray(picture), (i * panel[0], top))
     draw = ImageDraw.Draw(sheet, "RGBA")
     labels.text(draw, (letters, 0.5 * letters), recording.title, int(1.3 * letters), labels.INK)
     labels.badge(draw, (width - int(1.2 * letters), int(1.4 * letters)), recording, letters, "rm")

@@ -316,8 +316,8 @@ fn feedback_may_be_the_speed_of_the_shaft() {
     let seen = flight.measurement();
     assert!(seen.thrust.iter().all(|thrust| thrust.is_nan()));
     assert!(seen.shaft_speed.iter().all(|speed| (0.5..0.9).contains(speed)));
-    let _ = flight.try_tick();
-    for (used, thrust) in flight.controller_state().unwrap().estimate().robot.thrust.iter().zip(HOVER) {
+    let state = flight.try_tick().unwrap();
+    for (used, thrust) in state.estimate().robot.thrust.iter().zip(HOVER) {
         assert_within!(relative(*used, thrust), 1e-12);
     }
 }

@@ -85,13 +85,13 @@ pub struct Present<'a> {
 
 /// What is known of the motion after this tick.
 #[derive(Debug)]
-pub struct Upcoming<'a> {
+pub(super) struct Upcoming<'a> {
     /// Its set-points from the mission.
-    pub generator: &'a SetpointGenerator,
+    pub(super) generator: &'a SetpointGenerator,
     /// What they follow.
-    pub ahead: Ahead,
+    pub(super) ahead: Ahead,
     /// What is given beside the measurement.
-    pub preview: &'a Preview<'a>,
+    pub(super) preview: &'a Preview<'a>,
 }
 
 impl PredictiveLaw {

@@ -65,7 +65,7 @@ pub struct LatencyMonitorConfig {
 
 /// Compares a response with commands of different ages.
 #[derive(Debug, Clone)]
-pub struct Bank {
+struct Bank {
     kind: Filter,
     time_step: f64,
     /// Number of delays, from −1 tick on.
@@ -79,7 +79,7 @@ pub struct Bank {
 
 /// State of the comparison of one kind of command, kept from tick to tick.
 #[derive(Debug, Clone, PartialEq)]
-pub struct BankState {
+struct BankState {
     /// Lags of response and command, one column each.
     response: DMatrix<f64>,
     command: DMatrix<f64>,
@@ -114,13 +114,13 @@ impl Bank {
 
     /// A bank for torques, and one for thrust rates.
     #[must_use]
-    pub fn pair(time_step: f64) -> [Self; 2] {
+    fn pair(time_step: f64) -> [Self; 2] {
         [Self::new(TORQUE, time_step), Self::new(THRUST, time_step)]
     }
 
     /// State before the first tick, for so many joints or thrusts.
     #[must_use]
-    pub fn start(&self, size: usize) -> BankState {
+    fn start(&self, size: usize) -> BankState {
         let lags = DMatrix::zeros(size, self.kind.lags);
         BankState {
             response: lags.clone(),
@@ -135,7 +135,7 @@ impl Bank {
     }
 
     /// Takes in the response `y` of the last tick, and the command `u` that was given in it.
-    pub fn update(&self, state: &mut BankState, response: &[f64], command: &[f64]) {
+    fn update(&self, state: &mut BankState, response: &[f64], command: &[f64]) {
         let BankState { response: of_response, command: of_command, last, line, head, square, best, ticks } =
             state;
         let (delays, counts) = (self.delays, *ticks >= self.wait);
@@ -178,7 +178,7 @@ impl Bank {
 
     /// The measured delay \[s\]; `None` while it is not known.
     #[must_use]
-    pub fn delay(&self, state: &BankState) -> Option<f64> {
+    fn delay(&self, state: &BankState) -> Option<f64> {
         let (best, h) = (state.best, self.time_step);
         if best == 0 || best + 1 == self.delays {
             return None;
@@ -194,7 +194,7 @@ impl Bank {
 
 impl BankState {
     /// Begins again after a gap; what was measured stays.
-    pub fn interrupt(&mut self) {
+    fn interrupt(&mut self) {
         if self.ticks > 0 {
             self.response.fill(0.0);
             self.command.fill(0.0);

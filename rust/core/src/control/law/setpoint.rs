@@ -276,7 +276,7 @@ impl SetpointState {
 
 /// What a set-point follows after this tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ahead {
+pub(crate) enum Ahead {
     /// The mission.
     Mission,
     /// The motion of the last given set-point: its raw position moves on at constant velocity.
@@ -428,7 +428,7 @@ impl SetpointGenerator {
 
     /// Set-point of a later tick, at `time` \[s\]: `state` is a copy of the state, advanced by all ticks before it.
     #[must_use]
-    pub fn ahead(&self, ahead: Ahead, state: &mut SetpointState, time: f64) -> Setpoint {
+    pub(crate) fn ahead(&self, ahead: Ahead, state: &mut SetpointState, time: f64) -> Setpoint {
         match ahead {
             Ahead::Mission => self.update(state, time),
             Ahead::Descent => self.descend(state, false),

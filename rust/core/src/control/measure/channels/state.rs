@@ -110,7 +110,9 @@ impl ChannelsState {
 /// Brings numbers into `[−greatest, greatest]`; NaN stays NaN.
 pub(super) fn bound(numbers: &mut [f64], greatest: &[f64]) {
     for (number, most) in numbers.iter_mut().zip(greatest) {
-        *number = number.clamp(-most, *most);
+        if number.abs() > *most {
+            *number = most.copysign(*number);
+        }
     }
 }
 
