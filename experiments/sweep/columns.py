@@ -34,7 +34,7 @@ SHARES = {
     "on_course": "completed on course",
     "degraded": "were degraded for a time",
 }
-ENDS = {"low": "10 % quantile", "median": "median", "high": "90 % quantile", "worst": "greatest"}
+ENDS = {"p10": "10 % quantile", "median": "median", "p90": "90 % quantile", "worst": "greatest"}
 
 
 def _of_cells() -> Iterator[tuple[str, tuple[str, str]]]:

@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from experiments.backends import Failure
 from experiments.sources import file_hash
+from experiments.sweep.intervals import wilson
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust
 from jax_aero.base.keys import get, set_key
@@ -72,7 +73,7 @@ QUANTITIES = {
 LEAST_WARNING = 0.3
 """Time before the loss from which on a flight has to be degraded, so that it is not lost unwarned [s]."""
 
-QUANTILES = {"low": 0.1, "median": 0.5, "high": 0.9, "worst": 1.0}
+QUANTILES = {"p10": 0.1, "median": 0.5, "p90": 0.9, "worst": 1.0}
 
 
 def schema(spec: Spec, levels: Cells) -> pa.Schema:
@@ -97,7 +98,7 @@ def rows(
     """Return flights as rows."""
     records = []
     for index, config, flown in zip(indices, configs, flights, strict=True):
-        cell, repeat = divmod(index, spec.repeats)
+        repeat, cell = divmod(index, len(levels))
         labels = [level.label for level in levels[cell]]
         record: dict[str, Any] = {"row": index, "cell": cell, "repeat": repeat}
         record |= {axis.name: label for axis, label in zip(spec.axes, labels, strict=True)}
@@ -122,13 +123,11 @@ def in_columns(summary: Mapping[str, float]) -> dict[str, float]:
 
 def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
     """Return the table of cells: counts with their intervals, and quantiles of the errors."""
-    records = []
+    records, flights = [], {name: table[name].to_numpy() for name in table.column_names}
     for cell, chosen in enumerate(levels):
         record: dict[str, Any] = {"cell": cell}
         record |= {axis.name: level.label for axis, level in zip(spec.axes, chosen, strict=True)}
-        # Rows are in order, with the repeats of a cell together.
-        mine = table.slice(cell * spec.repeats, spec.repeats)
-        records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
+        records.append(record | _cell({name: values[cell :: len(levels)] for name, values in flights.items()}))
     axis_columns = dict(_axis_columns(spec, levels))
     whole = ("cell", "flights", "errors", "upright", "on_course", "degraded", "unwarned", *OUTCOMES)
     fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
@@ -173,30 +172,6 @@ def quantile(values: Any, share: float) -> float | None:
     """Return a quantile of the values that are finite; `None` without any."""
     known = values[np.isfinite(values)]
     return float(np.quantile(known, share)) if len(known) else None
-
-
-def listing(cells: pa.Table, labels: Mapping[str, str]) -> list[list[str]]:
-    """Return levels of axes with these labels, outcomes and median errors of the cells, headings first."""
-    columns = {**labels} | {name: name.replace("_", " ") for name in ("flights", *OUTCOMES)}
-    columns |= {"rotation_error_deg_median": "median rotation error [deg]", "com_error_median": "median CoM error [m]"}
-    rows = [[_text(row[name]) for name in columns] for row in cells.select(list(columns)).to_pylist()]
-    return [list(columns.values()), *rows]
-
-
-def _text(value: object) -> str:
-    return "?" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % score interval of a share; (0, 1) without trials."""
-    if trials == 0:
-        return 0.0, 1.0
-    z = 1.959963984540054
-    share, spread = successes / trials, z * z / trials
-    centre = (share + spread / 2.0) / (1.0 + spread)
-    half = z / (1.0 + spread) * math.sqrt(share * (1.0 - share) / trials + spread / (4.0 * trials))
-    # If all or none succeed, one end is exactly 1 or 0, which rounding would miss.
-    return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
 
 
 def config_hash(config: Mapping[str, Any]) -> str:

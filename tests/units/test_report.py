@@ -46,7 +46,7 @@ from experiments.report.results import Results, Sweep
 from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import wilson
 from jax_aero import rust
 from jax_aero.base import places, plain, tables
 from jax_aero.base.places import ROBOT

@@ -40,7 +40,7 @@ def write(folder, name, drawing, axes, panels="world"):
         record |= {"descended": index % 4, "off_course": index % 2, "fell": index % 3}
         record |= dict.fromkeys(("descending", "crashed", "diverged", "unwarned"), 0)
         for quantity in ("rotation_error_deg", "com_error"):
-            record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("low", "median", "high"))}
+            record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("p10", "median", "p90"))}
             record[f"{quantity}_worst"] = None if index == 1 else 3.0 * index
         cells.append(record)
     rng = np.random.default_rng(1)
