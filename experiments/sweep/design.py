@@ -16,7 +16,7 @@ import numpy as np
 
 from experiments import Refused, manifest
 from experiments.sources import file_hash
-from experiments.sweep import keys, table
+from experiments.sweep import columns, keys, table
 from experiments.sweep.perturbation import members
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust
@@ -33,7 +33,7 @@ class Design:
     """Its file, if it has one."""
 
     def __post_init__(self) -> None:
-        if taken := table.COLUMNS & {axis.name for axis in self.spec.axes}:
+        if taken := {*columns.FLIGHTS, *columns.CELLS} & {axis.name for axis in self.spec.axes}:
             raise Refused(f"sweep {self.spec.name}: axis `{min(taken)}` has the name of a column of its tables")
 
     @cached_property

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import pandas as pd
 
+from experiments.sweep.columns import OUTCOMES
 from experiments.sweep.intervals import SHARE, share
 from experiments.sweep.paired import COLUMNS
-from experiments.sweep.table import OUTCOMES
 from experiments.table import Rows
 
 ERRORS = {

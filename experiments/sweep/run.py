@@ -146,8 +146,8 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chun
     # In one piece: the bytes of the file depend on the pieces.
     whole = pa.concat_tables(map(chunks.read, chunks.find_whole(design.n_rows))).combine_chunks()
     of_cells = table.cells(design.spec, design.cells, whole)
-    for name, content, known in zip(TABLES, (whole, of_cells), (columns.FLIGHTS, columns.CELLS), strict=True):
-        write_bytes(folder / name, parquet(columns.describe(content, known)))
+    for name, content in zip(TABLES, (whole, of_cells), strict=True):
+        write_bytes(folder / name, parquet(content))
     outcomes = whole["outcome"].to_pylist()
     if errors := whole["error"].drop_null().to_pylist():
         print(f"{design.spec.name}: {len(errors)} flights could not be flown, first: {errors[0]}", file=sys.stderr)
@@ -156,7 +156,7 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chun
         "flights": flown,
         "seconds": round(seconds, 3),
         "flights_per_minute": round(60.0 * flown / seconds, 1) if flown else None,
-        "outcomes": {outcome: outcomes.count(outcome) for outcome in (*table.OUTCOMES, "error")},
+        "outcomes": {outcome: outcomes.count(outcome) for outcome in (*columns.OUTCOMES, "error")},
         "files": {name: checksum for name, checksum in checksums(folder).items() if name in TABLES},
     }
     write_json(folder / SWEEP_FILE, document)

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from experiments import Refused, backends, cluster, outdated
-from experiments.sweep import command, keys, run, spec, table
+from experiments.sweep import columns, command, keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.intervals import wilson
 from experiments.sweep.perturbation import Perturbation, members
@@ -242,8 +242,8 @@ def test_axes_may_set_parts_of_one_table():
         ({"name": "../up"}, '`name` is "../up"; expected a text'),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 1, "high": 2}]}, r"`axis\[0\]` is \"x\"; expected values"),
         (
-            {"axis": [{"name": "thrust_max_low", "key": "wind.speed", "values": [1]}]},
-            "axis `thrust_max_low` has the name",
+            {"axis": [{"name": "thrust_max_p10", "key": "wind.speed", "values": [1]}]},
+            "axis `thrust_max_p10` has the name",
         ),
         ({"panels": "world"}, '`panels` is "world"; expected the name of an axis'),
     ],
@@ -551,8 +551,8 @@ def test_the_interval_is_wilsons(successes, trials, low, high, measured):
 def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
     """Eleven flights whose figures are 0 to 10; the last two fell, one of them before errors of position count."""
     ramp = np.arange(11.0)
-    columns = {*table.QUANTITIES.values(), "degraded_time"}
-    flights = dict.fromkeys(columns, ramp) | {"outcome": np.array(["completed"] * 9 + ["fell"] * 2)}
+    names = {*columns.QUANTITIES.values(), "degraded_time"}
+    flights = dict.fromkeys(names, ramp) | {"outcome": np.array(["completed"] * 9 + ["fell"] * 2)}
     flights["warning_time"] = np.array([0.0] * 9 + [0.29, 0.3])
     flights["lost_time"] = np.array([np.nan] * 9 + [2.9, 8.0])
     flights["max_com_error"], flights["max_rotation_error_deg"] = 0.1 * ramp, 10.0 * ramp
@@ -615,8 +615,8 @@ def test_a_cell_of_another_engine_is_refused_before_the_first_flight(change):
 
 
 def test_a_completed_flight_without_an_error_of_position_does_not_count_as_on_course():
-    columns = {*table.QUANTITIES.values(), "degraded_time"}
-    flights = dict.fromkeys(columns, np.zeros(2)) | {"outcome": np.array(["completed", "fell"])}
+    names = {*columns.QUANTITIES.values(), "degraded_time"}
+    flights = dict.fromkeys(names, np.zeros(2)) | {"outcome": np.array(["completed", "fell"])}
     found = table._cell(flights | {"max_com_error": np.array([np.nan, 0.0])})
     assert (found["completed"], found["on_course"]) == (1, 0)
     assert table._cell(flights)["on_course"] == 1
@@ -624,15 +624,15 @@ def test_a_completed_flight_without_an_error_of_position_does_not_count_as_on_co
 
 
 def test_a_flight_that_comes_down_lands_or_is_lost():
-    columns = {*table.QUANTITIES.values(), "degraded_time"}
-    flights = dict.fromkeys(columns, np.zeros(3)) | {"outcome": np.array(["descended", "descending", "crashed"])}
+    names = {*columns.QUANTITIES.values(), "degraded_time"}
+    flights = dict.fromkeys(names, np.zeros(3)) | {"outcome": np.array(["descended", "descending", "crashed"])}
     found = table._cell(flights)
     assert [found[end] for end in ("completed", "descended", "descending", "crashed")] == [0, 1, 1, 1]
     assert (found["upright"], found["unwarned"]) == (1, 1)
 
 
 def test_what_the_guard_finds_is_unknown_of_jax():
-    summary = dict.fromkeys(table.SUMMARY, 1.0)
+    summary = dict.fromkeys(columns.SUMMARY, 1.0)
     result = rust.FlightResult({}, np.zeros(0), "completed", None, None, summary)
     for engine, known in (("rust", 1.0), ("jax", None)):
         made = design(engine=engine, repeats=1)
@@ -714,7 +714,7 @@ def test_a_row_is_flown_alone(flown, tmp_path, capsys):
     row = pq.read_table(flown / "table.parquet").to_pylist()[7]
     document = json.loads((tmp_path / "quick--row_7" / "manifest.json").read_text())
     alone = table.in_columns({name: x for name, x in document["summary"].items() if x is not None})
-    alone, before = (np.array([of.get(name) for name in table.SUMMARY], float) for of in (alone, row))
+    alone, before = (np.array([of.get(name) for name in columns.SUMMARY], float) for of in (alone, row))
     np.testing.assert_array_equal(alone, before)
     assert main([*words[:3], "12", *words[4:]]) == 2
     assert "--row is 12 of" in capsys.readouterr().err
