@@ -177,30 +177,21 @@ def _document(design: Design, folder: Path) -> dict[str, Any]:
 
 def describe(spec: Spec) -> dict[str, Any]:
     """Return the part of `SWEEP_FILE` that comes from the file of a sweep."""
-    return {
-        "name": spec.name,
-        "title": spec.title,
-        "description": spec.description,
-        "drawing": spec.drawing,
-        "panels": spec.panels,
-        "design": spec.design,
-        "axes": [
-            {
-                "name": axis.name,
-                "label": axis.label or axis.name,
-                "unit": axis.unit,
-                "levels": [level.label for level in axis.levels],
-            }
-            for axis in spec.axes
-        ],
-        "base": manifest.make_portable(spec.base),
-        "set": manifest.make_portable(dict(spec.set)),
-        "perturbation": manifest.make_portable(plain.to_builtins(spec.perturbation)),
-        "seed": spec.seed,
-        "repeats": spec.repeats,
-        "chunk": spec.chunk,
-        "engine": spec.engine,
-    }
+    keys = ("name", "title", "description", "drawing", "panels", "design", "seed", "repeats", "chunk", "engine")
+    perturbation = plain.to_builtins(spec.perturbation)
+    flown: dict[str, Any] = manifest.make_portable(
+        {"base": spec.base, "set": dict(spec.set), "perturbation": perturbation}
+    )
+    axes = [
+        {
+            "name": axis.name,
+            "label": axis.label or axis.name,
+            "unit": axis.unit,
+            "levels": [level.label for level in axis.levels],
+        }
+        for axis in spec.axes
+    ]
+    return {key: getattr(spec, key) for key in keys} | {"axes": axes} | flown
 
 
 def identity_of(design: Design, repeats: int | None = None) -> Identity:
