@@ -19,7 +19,7 @@ Rows: TypeAlias = Sequence[Sequence[str]]
 HEADINGS = (
     "flight",
     "outcome",
-    f"max CoM error from {SETTLING_TIME:g} s [m]",
+    f"max CoM error from {SETTLING_TIME:g} s [cm]",
     "max rotation error [deg]",
     "thrusts [N]",
 )
@@ -101,14 +101,14 @@ FORMATS: Mapping[str, Callable[[Rows], str]] = {"text": text_table, "csv": csv_t
 
 def _row(manifest: Mapping[str, Any]) -> Sequence[str]:
     summary = manifest["summary"]
-    rotation = summary.get("max_rotation_error")
+    rotation, com = summary.get("max_rotation_error"), summary.get("max_com_error")
     outcome = ending(manifest["outcome"], manifest["lost_time"], manifest["lost_reason"])
     if manifest["outcome"] == "descended":
         outcome += f", arrives at {_number(summary.get('end_speed'), '.1f')} m/s"
     return (
         manifest["name"],
         outcome,
-        _number(summary.get("max_com_error"), ".3f"),
+        _number(None if com is None else 100.0 * com, ".1f"),
         _number(None if rotation is None else math.degrees(rotation), ".1f"),
         f"{_number(summary.get('thrust_min'), '.1f')} to {_number(summary.get('thrust_max'), '.1f')}",
     )
