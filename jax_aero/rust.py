@@ -394,10 +394,10 @@ class Tick:
         s̈*, s̈ without torque [rad/s²], and G = (M⁻¹)_ss.
     torque_qp, torque_answer, unlimited_torque, joint_torque
         The QP in τ, or in (f_c, τ) for a controller that can stand, and its answer [N m], before and after the limiter.
-    status
-        "Nominal", "Degraded", or the part of the command that is a safe substitute.
+    is_held
+        Whether thrust rates, torques or both are not those of the law.
     degraded_modes
-        Names of the modes of a tick with missing or implausible measurements.
+        What in the tick is not as usual, names of `MODES`.
     joint_condition
         What is found of each joint, (n,): 0 healthy, 1 stuck, 2 weak, 3 free.
     measured_latency
@@ -452,7 +452,7 @@ class Tick:
     torque_answer: QpAnswer
     unlimited_torque: Array
     joint_torque: Array
-    status: str
+    is_held: bool
     degraded_modes: list[str]
     joint_condition: Array
     measured_latency: Array
@@ -538,8 +538,8 @@ class Controller:
             Wrench on each foot of `controller.contact.feet` [N, N m], (feet, 6): force first, about its sole's origin,
             inertial axes. Zero if not given.
         preview
-            What is known of the future. Set-points or winds that are not valid are ignored, with the status
-            `BadPreview`.
+            What is known of the future. Set-points or winds that are not valid are ignored, with the mode
+            `preview_ignored`.
         residual
             What is added to the answer of the law, in place of a policy's residual. The mission is then followed,
             without a preview.
@@ -559,8 +559,10 @@ class Controller:
             self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, added, speed)
         )
 
-    def tick_torques(self, joint_position: ArrayLike, joint_velocity: ArrayLike) -> tuple[NDArray[np.float64], str]:
-        """Compute one tick of the torques between two ticks of the law; return torques [N m, N], (n,), and the status.
+    def tick_torques(
+        self, joint_position: ArrayLike, joint_velocity: ArrayLike
+    ) -> tuple[NDArray[np.float64], list[str]]:
+        """Compute one tick of the torques between two ticks of the law; return torques [N m, N], (n,), and modes.
 
         To be called `controller.torque.steps - 1` times after each tick, at equal times.
 

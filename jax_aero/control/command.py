@@ -12,15 +12,6 @@ from jax_aero.control.qp import QpAnswer
 from jax_aero.control.terms import Terms
 from jax_aero.types import Array, Setpoint
 
-NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD, PLAN_KEPT, PLAN_MISSING = range(7)
-"""Codes of `Command.status`, which says whether the control law produced the command, as in the Rust crate.
-
-Degraded: a residual was not finite; see `Command.degraded_modes`. Momentum held: the momentum QP has no certified
-answer; rates and velocities are as near to zero as their bounds allow, and torques brake the joints. Torque held: the
-torque QP has no certified answer; torques keep their last values. Plan kept: the predictive law has no new certified
-plan and follows the last one. Plan missing: it has none, and the momentum QP decides.
-"""
-
 
 class Command(NamedTuple):
     """Command of a controller, held until the next tick. Entries that are `None` are NaN in the log."""
@@ -35,10 +26,8 @@ class Command(NamedTuple):
     """`ṡ*` [rad/s]."""
     momentum_qp: QpAnswer | None = None
     torque_qp: QpAnswer | None = None
-    status: Int[Array, ""] | None = None
-    """One of the codes above."""
     degraded_modes: Int[Array, ""] | None = None
-    """A sum of the bits in `rust.MODES`."""
+    """What in the tick is not as usual, a sum of the bits in `rust.MODES`."""
     terms: Terms | None = None
 
     def check(self, robot: RobotModel) -> None:

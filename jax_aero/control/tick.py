@@ -27,7 +27,7 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import multiply
 from jax_aero.config import RateFeedback, ScenarioConfig
 from jax_aero.control import qp
-from jax_aero.control.command import BOTH_HELD, MOMENTUM_HELD, TORQUE_HELD, Command
+from jax_aero.control.command import Command
 from jax_aero.control.guard import estimator, observer, wind_observer
 from jax_aero.control.guard.estimator import Estimator, Order
 from jax_aero.control.guard.observer import ObserverGains
@@ -49,6 +49,7 @@ from jax_aero.control.measurement import Measurement, Reading
 from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms, update_model
+from jax_aero.rust import MODES
 from jax_aero.types import Array, Setpoint, State, leaf, leaves, pytree, static
 
 
@@ -263,22 +264,20 @@ def decide(
     setpoint: Setpoint | None = None,
 ) -> tuple[ControllerState, Command, Terms]:
     """Compute the part of a tick that is the law's, from the estimates and the model that follows from them."""
-    added, modes = None, jnp.zeros((), jnp.int32)
+    added = None
     memory, followed = params.momentum_law().follow(memory, estimates.time, setpoint)
     memory, rates = params.law().solve(robot, memory, estimates, model, followed)
     if params.residual is not None:
         known = robot, params.time_step, memory, estimates.state, model, followed.due
-        memory, rates, added, modes = steer(params.residual, *known, rates)
+        memory, rates, added = steer(params.residual, *known, rates)
     memory, torque = params.torques().solve(memory, estimates.state, model, rates)
-    held = jnp.where(rates.status == MOMENTUM_HELD, BOTH_HELD, TORQUE_HELD)
     command = Command(
         rates.thrust_rate,
         torque.joint_torque,
         joint_velocity=rates.joint_velocity,
         momentum_qp=rates.answer,
         torque_qp=torque.answer,
-        status=jnp.where(torque.is_solved, rates.status, held),
-        degraded_modes=modes,
+        degraded_modes=rates.modes | jnp.where(torque.is_solved, 0, MODES["torque_held"]),
     )
     exact = jnp.zeros_like(estimates.wind)
     terms = Terms(estimates, exact, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, added)

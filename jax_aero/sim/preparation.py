@@ -44,9 +44,10 @@ def prepare(
 
     The guard, which finds failures and answers them, is the crate's alone. Its detectors (`controller.channels`,
     `engines`, `joints`, `latency_monitor`, `supervisor`, `mpc.descent`) do nothing here: a flight is the crate's as
-    long as the crate's signal `degraded_modes` is zero. Refused by key, since the crate alone flies them
-    (`engine = "rust"`), are failures that a guard answers: outages, faulty joints, and jets that fail or do not reach
-    their thrust if the controller has `engines`; so are fuel, ground, motors and torques of a second rate.
+    long as the crate's signal `degraded_modes` has no mode but those of solvers. Refused by key, since the crate alone
+    flies them (`engine = "rust"`), are failures that a guard answers: outages, faulty joints, and jets that
+    fail or do not reach their thrust if the controller has `engines`; so are fuel, ground, motors and torques of a
+    second rate.
 
     Parameters
     ----------

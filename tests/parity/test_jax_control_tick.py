@@ -15,7 +15,6 @@ from jax_aero import rust
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import qp, tick
-from jax_aero.control.command import NOMINAL
 from jax_aero.train.identify import states_of
 from jax_aero.types import Setpoint, State
 from jax_aero.verify import SOLUTIONS
@@ -25,7 +24,6 @@ pytestmark = pytest.mark.usefixtures("x64")
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-10
-STATUS = ["Nominal", "Degraded", "MomentumHeld", "TorqueHeld", "BothHeld"]
 BATCH = 32
 
 
@@ -113,7 +111,9 @@ def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
     ours = tick_quantities(command, terms)
     for i, sample in enumerate(samples):
         theirs = crate_tick(published.table, sample)
-        assert STATUS[command.status[i]] == theirs.status == "Nominal"
+        assert command.degraded_modes[i] == 0
+        assert theirs.degraded_modes == []
+        assert not theirs.is_held
         assert_same(agree, ours, theirs, i)
         agree("velocity_error_integral", memory.velocity_error_integral[i], theirs.velocity_error_integral, 1e-9)
         assert memory.torque_is_known[i]
@@ -168,10 +168,11 @@ def test_safe_commands(published, ticks):
         *good[4:],
     ]
     memory, command, _ = jax.device_get(ticks(*stack_samples(samples)))
-    expected = ["Nominal", "MomentumHeld", "TorqueHeld", "BothHeld"]
-    for i, (sample, status) in enumerate(zip(samples, expected, strict=False)):
+    expected = [[], ["momentum_held"], ["torque_held"], ["momentum_held", "torque_held"]]
+    for i, (sample, modes) in enumerate(zip(samples, expected, strict=False)):
         theirs = crate_tick(published.table, sample)
-        assert STATUS[command.status[i]] == theirs.status == status
+        assert (theirs.degraded_modes, theirs.is_held) == (modes, bool(modes))
+        assert command.degraded_modes[i] == sum(rust.MODES[name] for name in modes)
         assert command.momentum_qp.status[i] == theirs.momentum_answer.status_code
         assert command.torque_qp.status[i] == theirs.torque_answer.status_code
         np.testing.assert_allclose(command.thrust_rate[i], theirs.thrust_rate, rtol=0, atol=1e-6)
@@ -179,7 +180,7 @@ def test_safe_commands(published, ticks):
         np.testing.assert_allclose(command.joint_torque[i], theirs.joint_torque, rtol=0, atol=1e-6)
         integral = memory.velocity_error_integral[i]
         np.testing.assert_allclose(integral, theirs.velocity_error_integral, rtol=0, atol=1e-9)
-        assert memory.torque_is_known[i] == (status in ("Nominal", "MomentumHeld"))
+        assert memory.torque_is_known[i] == ("torque_held" not in modes)
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +211,7 @@ def test_ticks_along_a_flight(flown, agree):
     """Memory, warm start, rate limiter and reference generator together, with the corrected arms."""
     twin, log, measurements = flown
     command, com_setpoint = follow(twin, measurements, twin.params)
-    assert np.all(command.status == NOMINAL)
+    assert not np.any(command.degraded_modes)
     agree("flight: com_setpoint", com_setpoint, log["com_setpoint"], 1e-12)
     agree("flight: thrust_rate", command.thrust_rate, log["thrust_rate"], 1e-9)
     agree("flight: joint_velocity_command", command.joint_velocity, log["joint_velocity_command"], 1e-9)
@@ -227,7 +228,7 @@ def test_float32_commands_along_a_flight(flown, measured):
         single.robot, params, rows = jax.tree.map(np.float32, (twin.robot, twin.params, measurements))
         command, _ = follow(single, rows, params)
     assert command.thrust_rate.dtype == np.float32
-    assert np.all(command.status == NOMINAL)
+    assert not np.any(command.degraded_modes)
     measured("float32: thrust_rate [N/s]", np.max(np.abs(command.thrust_rate - log["thrust_rate"])), 0.5)
     velocity_error = np.max(np.abs(command.joint_velocity - log["joint_velocity_command"]))
     measured("float32: joint_velocity_command [rad/s]", velocity_error, 0.02)
@@ -235,7 +236,7 @@ def test_float32_commands_along_a_flight(flown, measured):
 
 
 def test_the_status_codes_are_the_crates():
-    """Those of `QpStatus` as its source numbers them; the statuses of a tick are provoked above, one by one."""
+    """Those of `QpStatus` as its source numbers them; the modes of a tick are provoked above, one by one."""
     sources = (path.read_text(encoding="utf-8") for path in (REPOSITORY / "rust").rglob("*.rs"))
     (body,) = (text.split("enum QpStatus {")[1].split("}")[0] for text in sources if "enum QpStatus {" in text)
     theirs = {name: int(code) for name, code in re.findall(r"^    (\w+) = (\d+),", body, re.MULTILINE)}

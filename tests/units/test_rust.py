@@ -120,12 +120,12 @@ def test_setpoints_begin_where_a_robot_can_be_and_are_not_endless():
         rust.setpoint_trajectory(config, np.zeros(3), np.eye(3))
 
 
-def test_a_state_without_feet_is_a_status():
+def test_a_state_without_feet_is_ignored():
     flying, standing = (rust.Controller(rust.load_config(name)) for name in ("test2", "balancing_front"))
     now = rust.Flight(rust.load_config(TEST2)).truth
     flying.tick(now.state, now.thrust, now.wind, now.time)
     standing.state = flying.state
-    assert standing.tick(now.state, now.thrust, now.wind, now.time).status == "BadState"
+    assert standing.tick(now.state, now.thrust, now.wind, now.time).degraded_modes == ["state_ignored"]
 
 
 def test_other_threads_run_while_a_flight_is_under_way():

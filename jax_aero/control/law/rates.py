@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 
 from jax_aero.body.robot import RobotModel
 from jax_aero.control import qp
-from jax_aero.control.command import MOMENTUM_HELD, NOMINAL
 from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.attitude import AttitudeDemand, MomentumGains, attitude_demand
 from jax_aero.control.law.mission import Mission
@@ -21,6 +20,7 @@ from jax_aero.control.measurement import Measurement
 from jax_aero.control.qp import QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
+from jax_aero.rust import MODES
 from jax_aero.types import Array, Setpoint
 
 
@@ -56,8 +56,8 @@ class Rates(NamedTuple):
     """`Ṫ*` [N/s]."""
     joint_velocity: Float[Array, " n"]
     """`ṡ*` [rad/s]."""
-    status: Int[Array, ""]
-    """Status of the command if the torque QP is solved."""
+    modes: Int[Array, ""]
+    """A sum of the bits in `rust.MODES`."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +129,6 @@ class MomentumLaw:
         is_solved = answer.status == qp.SOLVED
         # Zero rates, as far as the bounds allow.
         u = jnp.where(is_solved, answer.x, jnp.clip(0.0, problem.lower, problem.upper))
-        status = jnp.where(is_solved, NOMINAL, MOMENTUM_HELD)
-        rates = Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], status=status)
+        modes = jnp.where(is_solved, 0, MODES["momentum_held"])
+        rates = Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], modes=modes)
         return memory._replace(momentum_start=answer.warm_start), rates

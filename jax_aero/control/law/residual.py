@@ -14,11 +14,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jax_aero.base.features import aim_of, features
 from jax_aero.body.robot import RobotModel
-from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.law.rates import Rates
@@ -118,7 +117,7 @@ def steer(
     model: Model,
     due: Setpoint,
     rates: Rates,
-) -> tuple[ControllerState, Rates, Added, Int[Array, ""]]:
+) -> tuple[ControllerState, Rates, Added]:
     """Add a residual to thrust rates and joint velocities, within their bounds, and observe the wrench for the next.
 
     A residual that is not finite is not used, nor is one without an answer of the law. The modes name the former.
@@ -141,13 +140,12 @@ def steer(
     problem, jets = rates.momentum_qp.problem, rates.thrust_rate.shape[0]
     lower, upper = (Added(bound[:jets], bound[jets:]) for bound in (problem.lower, problem.upper))
     chosen = where(
-        is_finite & (rates.status != MOMENTUM_HELD),
+        is_finite & (rates.modes & MODES["momentum_held"] == 0),
         Added(*(jnp.clip(*parts) for parts in zip(wanted, lower, upper, strict=True))),
         own,
     )
-    status = jnp.where(~is_finite & (rates.status == NOMINAL), DEGRADED, rates.status)
-    modes = jnp.where(is_finite, 0, MODES["residual_ignored"])
+    modes = rates.modes | jnp.where(is_finite, 0, MODES["residual_ignored"])
     gain, most = (jnp.asarray(number, last.wrench.dtype) for number in (OBSERVER_GAIN, jnp.inf))
     gains, momentum, rate = ObserverGains(gain, gain, most, most), model.dynamics.momentum, model.momentum.rate_estimate
     observed = observer.update(gains, time_step, last, momentum, rate)
-    return memory._replace(residual=observed), rates._replace(**chosen._asdict(), status=status), added, modes
+    return memory._replace(residual=observed), rates._replace(**chosen._asdict(), modes=modes), added

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jax_aero.control import qp
-from jax_aero.control.command import MOMENTUM_HELD
 from jax_aero.control.law.rates import Rates
 from jax_aero.control.law.torque import TorqueParams, TorqueQp, limit_rate, torque_qp
 from jax_aero.control.qp import QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
+from jax_aero.rust import MODES
 from jax_aero.types import Array, State
 
 INTEGRAL_LIMIT = 20.0
@@ -65,7 +65,7 @@ class Torques:
         # Forward Euler: used first, advanced after. Without a commanded velocity there is no error to integrate; with
         # held torques the integral would grow without effect on the torques.
         advanced = jnp.clip(integral + self.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT)
-        integrates = is_solved & (rates.status != MOMENTUM_HELD)
+        integrates = is_solved & (rates.modes & MODES["momentum_held"] == 0)
         memory = memory._replace(
             velocity_error_integral=jnp.where(integrates, advanced, integral),
             joint_torque=joint_torque,

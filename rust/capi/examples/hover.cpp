@@ -20,13 +20,13 @@ class Controller {
         joint_torque.resize(flight_joint_count(handle.get()));
     }
     void start(const FlightMeasurement &measurement) {
-        if (flight_start(handle.get(), &measurement, message.data(), message.size()) != FLIGHT_NOMINAL) {
+        if (flight_start(handle.get(), &measurement, message.data(), message.size()) != FLIGHT_OK) {
             throw std::runtime_error(message.data());
         }
     }
-    FlightStatus tick(const FlightMeasurement &measurement, const FlightSetpoint &setpoint) {
+    bool tick(const FlightMeasurement &measurement, const FlightSetpoint &setpoint) {
         const FlightCommand command{thrust_rate.data(), joint_velocity.data(), joint_torque.data()};
-        return flight_tick(handle.get(), &measurement, &setpoint, &command);
+        return flight_tick(handle.get(), &measurement, &setpoint, &command) == FLIGHT_OK && !flight_is_held(handle.get());
     }
 
     std::vector<double> thrust_rate, joint_velocity, joint_torque;
@@ -57,13 +57,13 @@ int main(int argc, char **argv) {
         setpoint.rotation[0] = setpoint.rotation[4] = setpoint.rotation[8] = 1.0;
         setpoint.com_position[2] = 1.0;
         controller.start(measurement);
-        const FlightStatus status = controller.tick(measurement, setpoint);
-        std::printf("%s, thrust rate", flight_status_name(status));
+        const bool is_of_law = controller.tick(measurement, setpoint);
+        std::printf("%s, thrust rate", is_of_law ? "nominal" : "held");
         for (const double rate : controller.thrust_rate) {
             std::printf(" %.17g", rate);
         }
         std::printf("\n");
-        return status == FLIGHT_NOMINAL ? 0 : 1;
+        return is_of_law ? 0 : 1;
     } catch (const std::exception &reason) {
         std::fprintf(stderr, "error: %s\n", reason.what());
         return 1;

@@ -45,7 +45,7 @@ int main(int argc, char **argv) {
     flight_robot_measure(robot, &measurement);
     // Allocates; the loop does not.
     FlightStatus status = flight_start(controller, &measurement, message, sizeof message);
-    if (status != FLIGHT_NOMINAL) {
+    if (status != FLIGHT_OK) {
         fprintf(stderr, "error: %s (%s)\n", message, flight_status_name(status));
         return 1;
     }
@@ -62,7 +62,7 @@ int main(int argc, char **argv) {
         status = flight_tick(controller, &measurement, NULL, &command);
         const int64_t end = now_ns();
         flight_robot_advance(robot, &command); // a robot sends joint_torque and thrust_rate here
-        not_nominal += status != FLIGHT_NOMINAL;
+        not_nominal += status != FLIGHT_OK || flight_modes(controller) != 0;
         modes |= flight_modes(controller);
         durations[tick] = end - begin;
         late += end > next;

@@ -89,7 +89,7 @@ static FlightStatus answer(FlightController *controller, const Message *question
     const FlightMeasurement measurement = unpack(question->numbers);
     if (question->tick == 0) {
         const FlightStatus status = flight_start(controller, &measurement, NULL, 0);
-        if (status != FLIGHT_NOMINAL) {
+        if (status != FLIGHT_OK) {
             return status;
         }
     }
@@ -121,7 +121,7 @@ static int serve(int socket, FlightController *controller, long most) {
     while (durations != NULL &&
            recvfrom(socket, &question, sizeof question, 0, (struct sockaddr *)&from, &length) > 0 && question.tick >= 0) {
         const int64_t begin = now_ns();
-        not_nominal += answer(controller, &question, &reply) != FLIGHT_NOMINAL;
+        not_nominal += answer(controller, &question, &reply) != FLIGHT_OK || flight_modes(controller) != 0;
         durations[ticks++ % most] = now_ns() - begin;
         const size_t size = offsetof(Message, numbers) + (joints + jets) * sizeof(double);
         sendto(socket, &reply, size, 0, (struct sockaddr *)&from, length);

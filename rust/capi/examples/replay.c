@@ -121,11 +121,12 @@ int main(int argc, char **argv) {
         memcpy(measurement.base_linear_velocity, velocity, sizeof measurement.base_linear_velocity);
         memcpy(measurement.base_angular_velocity, velocity + 3, sizeof measurement.base_angular_velocity);
         memcpy(measurement.wind, wind, sizeof measurement.wind);
-        if (ticks == 0 && flight_start(controller, &measurement, message, sizeof message) != FLIGHT_NOMINAL) {
+        if (ticks == 0 && flight_start(controller, &measurement, message, sizeof message) != FLIGHT_OK) {
             fprintf(stderr, "error: %s\n", message);
             return 1;
         }
-        not_nominal += flight_tick(controller, &measurement, NULL, &command) != FLIGHT_NOMINAL;
+        not_nominal +=
+            flight_tick(controller, &measurement, NULL, &command) != FLIGHT_OK || flight_modes(controller) != 0;
         compare(&torques, command.joint_torque, torque, joints, *time);
         compare(&rates, command.thrust_rate, rate, jets, *time);
     }

@@ -14,7 +14,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// Ways in which a tick differs from one with complete measurements; `flight_modes` is a sum of them.
+// What in a tick is not as usual; `flight_modes` is a sum of them.
 typedef enum FlightMode {
   // The wind is the last measured one, held or fading.
   FLIGHT_WIND_HELD = 1,
@@ -42,12 +42,28 @@ typedef enum FlightMode {
   FLIGHT_BEGUN_AGAIN = 2048,
   // A joint does not follow its torque.
   FLIGHT_JOINT_LIMITED = 4096,
+  // The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
+  FLIGHT_MEASUREMENT_IGNORED = 8192,
   // The flight strays from its set-point.
   FLIGHT_STRAYING = 16384,
   // The residual of a policy, or a given one, is not finite and not used.
   FLIGHT_RESIDUAL_IGNORED = 32768,
   // Commands act later or earlier than the controller knows.
   FLIGHT_LATE = 65536,
+  // The state is of another controller; the command is as for an ignored measurement.
+  FLIGHT_STATE_IGNORED = 131072,
+  // The given set-point exceeds the accepted range, or its matrix is not a rotation: the robot brakes from the motion of the last valid one.
+  FLIGHT_SETPOINT_IGNORED = 262144,
+  // Set-points or winds of the preview exceed the accepted range, or their times do not increase: none is used.
+  FLIGHT_PREVIEW_IGNORED = 524288,
+  // The predictive law has no new certified plan: it follows the last one.
+  FLIGHT_PLAN_KEPT = 1048576,
+  // The predictive law has no certified plan: the momentum QP decides.
+  FLIGHT_PLAN_MISSING = 2097152,
+  // The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow; the torques brake the joints.
+  FLIGHT_MOMENTUM_HELD = 4194304,
+  // The torque QP has no answer: torques keep their values.
+  FLIGHT_TORQUE_HELD = 8388608,
 } FlightMode;
 
 // Version of the library to which this header belongs: 10000 major + 100 minor + patch.
@@ -59,31 +75,10 @@ typedef enum FlightMode {
 // Of the set-points and of the winds of a `FlightPreview` so many are read, the first ones.
 #define FLIGHT_PREVIEW_MAX 128
 
-// Outcome of a call.
+// Outcome of a call; below zero an error.
 typedef enum FlightStatus {
-  // The command is that of the control law: both QPs are solved and certified.
-  FLIGHT_NOMINAL = 0,
-  // The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
-  FLIGHT_BAD_MEASUREMENT = 1,
-  // The set-point exceeds the accepted range, or its matrix is not a rotation: the robot brakes
-  // from the motion of the last valid one.
-  FLIGHT_BAD_SETPOINT = 2,
-  // The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.
-  FLIGHT_MOMENTUM_HELD = 3,
-  // The torque QP has no answer: torques keep their values.
-  FLIGHT_TORQUE_HELD = 4,
-  // Neither QP has an answer.
-  FLIGHT_BOTH_HELD = 5,
-  // The command is that of the control law, but part of the measurement is predicted (NaN marks what is not
-  // measured) or the robot descends.
-  FLIGHT_DEGRADED = 6,
-  // The predictive law has no new certified plan: it follows the last one.
-  FLIGHT_PLAN_KEPT = 7,
-  // The predictive law has no certified plan: thrust rates and joint velocities are those of the momentum QP.
-  FLIGHT_PLAN_MISSING = 8,
-  // Set-points or winds of the preview exceed the accepted range, or their times do not increase: the command of the
-  // control law, without them.
-  FLIGHT_BAD_PREVIEW = 9,
+  // Done; of a tick `flight_modes` says what is not as usual.
+  FLIGHT_OK = 0,
   // No flight has been started, or none can start with this measurement. No command is written.
   FLIGHT_NOT_STARTED = -1,
   // A required pointer is null. Nothing is written.
@@ -215,7 +210,7 @@ extern "C" {
 // Version of this library, as `FLIGHT_VERSION`.
 uint32_t flight_version(void);
 
-// Name of a `FlightStatus`, such as `bad_setpoint`; null for other numbers.
+// Name of a `FlightStatus`, such as `null_pointer`; null for other numbers.
 const char *flight_status_name(int status);
 
 // Name of a `FlightMode`, such as `wind_held`; null for other numbers.
@@ -281,11 +276,17 @@ double flight_time_step(const struct FlightController *controller);
 // As for `flight_joint_count`.
 uint32_t flight_torque_steps(const struct FlightController *controller);
 
-// Ways in which the last tick differs from one with complete measurements, a sum of `FlightMode`; zero for null.
+// What in the last tick was not as usual, a sum of `FlightMode`; zero for null.
 //
 // # Safety
 // As for `flight_joint_count`.
 uint32_t flight_modes(const struct FlightController *controller);
+
+// Whether thrust rates, torques or both of the last tick are not those of the control law; true for null.
+//
+// # Safety
+// As for `flight_joint_count`.
+bool flight_is_held(const struct FlightController *controller);
 
 // Throttle \[%\] with which a jet's engine follows the thrust rate of the last tick, for robots whose engines take no
 // rates. Zero with `controller.jet_dynamics = "ideal"`, which has no engines, for null or an index outside of the range.
@@ -339,8 +340,8 @@ enum FlightStatus flight_replace_command(struct FlightController *controller,
 
 // One tick of the torques between two ticks of the law: writes `joint_torque` of `command` for new measurements of the
 // joints \[rad, m; rad/s, m/s\], NaN where there is none; the other arrays are not touched. To be called
-// `controller.torque.steps` − 1 times after each `flight_tick`, at equal times. The status is that of the last tick, or
-// `FLIGHT_TORQUE_HELD` and the like where the torques are kept.
+// `controller.torque.steps` − 1 times after each `flight_tick`, at equal times. Where the torques are kept
+// `flight_is_held` says so.
 //
 // # Safety
 // The pointers are null or point to objects of their types, positions and velocities to as many numbers as joints.

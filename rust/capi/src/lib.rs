@@ -11,9 +11,7 @@
 use flight_core::control::between::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
-use flight_core::control::{
-    BadCommand, Command, CommandStatus, ControllerState, Given, OwnedMeasurement, Preview,
-};
+use flight_core::control::{BadCommand, ControllerState, Given, OwnedMeasurement, Preview};
 use flight_core::spatial::Pose;
 use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
@@ -83,33 +81,12 @@ impl FlightHeader {
     }
 }
 
-/// Outcome of a call.
+/// Outcome of a call; below zero an error.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FlightStatus {
-    /// The command is that of the control law: both QPs are solved and certified.
-    FlightNominal = 0,
-    /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
-    FlightBadMeasurement = 1,
-    /// The set-point exceeds the accepted range, or its matrix is not a rotation: the robot brakes
-    /// from the motion of the last valid one.
-    FlightBadSetpoint = 2,
-    /// The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.
-    FlightMomentumHeld = 3,
-    /// The torque QP has no answer: torques keep their values.
-    FlightTorqueHeld = 4,
-    /// Neither QP has an answer.
-    FlightBothHeld = 5,
-    /// The command is that of the control law, but part of the measurement is predicted (NaN marks what is not
-    /// measured) or the robot descends.
-    FlightDegraded = 6,
-    /// The predictive law has no new certified plan: it follows the last one.
-    FlightPlanKept = 7,
-    /// The predictive law has no certified plan: thrust rates and joint velocities are those of the momentum QP.
-    FlightPlanMissing = 8,
-    /// Set-points or winds of the preview exceed the accepted range, or their times do not increase: the command of the
-    /// control law, without them.
-    FlightBadPreview = 9,
+    /// Done; of a tick `flight_modes` says what is not as usual.
+    FlightOk = 0,
     /// No flight has been started, or none can start with this measurement. No command is written.
     FlightNotStarted = -1,
     /// A required pointer is null. Nothing is written.
@@ -455,23 +432,6 @@ unsafe fn copy_out(values: &[f64], target: *mut f64) {
 /// Message of a panic.
 const INTERNAL_ERROR: &str = "internal error of the library";
 
-fn status_of(command: &Command) -> FlightStatus {
-    match command.status {
-        CommandStatus::Nominal => FlightStatus::FlightNominal,
-        CommandStatus::Degraded => FlightStatus::FlightDegraded,
-        CommandStatus::PlanKept => FlightStatus::FlightPlanKept,
-        CommandStatus::PlanMissing => FlightStatus::FlightPlanMissing,
-        CommandStatus::BadMeasurement => FlightStatus::FlightBadMeasurement,
-        // Cannot occur, because a caller cannot pass the state of another controller.
-        CommandStatus::BadState => FlightStatus::FlightNotStarted,
-        CommandStatus::BadSetpoint => FlightStatus::FlightBadSetpoint,
-        CommandStatus::BadPreview => FlightStatus::FlightBadPreview,
-        CommandStatus::MomentumHeld => FlightStatus::FlightMomentumHeld,
-        CommandStatus::TorqueHeld => FlightStatus::FlightTorqueHeld,
-        CommandStatus::BothHeld => FlightStatus::FlightBothHeld,
-    }
-}
-
 /// Writes the reason of a failure to the caller's buffer, as much of it as fits.
 ///
 /// # Safety
@@ -527,20 +487,11 @@ pub extern "C" fn flight_version() -> u32 {
     FLIGHT_VERSION
 }
 
-/// Name of a `FlightStatus`, such as `bad_setpoint`; null for other numbers.
+/// Name of a `FlightStatus`, such as `null_pointer`; null for other numbers.
 #[unsafe(no_mangle)]
 pub extern "C" fn flight_status_name(status: c_int) -> *const c_char {
     let name = match status {
-        0 => c"nominal",
-        1 => c"bad_measurement",
-        2 => c"bad_setpoint",
-        3 => c"momentum_held",
-        4 => c"torque_held",
-        5 => c"both_held",
-        6 => c"degraded",
-        7 => c"plan_kept",
-        8 => c"plan_missing",
-        9 => c"bad_preview",
+        0 => c"ok",
         -1 => c"not_started",
         -2 => c"null_pointer",
         -3 => c"panicked",
@@ -664,7 +615,7 @@ pub unsafe extern "C" fn flight_torque_steps(controller: *const FlightController
     unsafe { controller.as_ref() }.map_or(0, |controller| controller.torque_steps)
 }
 
-/// Ways in which the last tick differs from one with complete measurements, a sum of `FlightMode`; zero for null.
+/// What in the last tick was not as usual, a sum of `FlightMode`; zero for null.
 ///
 /// # Safety
 /// As for `flight_joint_count`.
@@ -672,6 +623,16 @@ pub unsafe extern "C" fn flight_torque_steps(controller: *const FlightController
 pub unsafe extern "C" fn flight_modes(controller: *const FlightController) -> u32 {
     // SAFETY: by this function's contract.
     unsafe { controller.as_ref() }.map_or(0, |controller| controller.controller.command().modes.bits())
+}
+
+/// Whether thrust rates, torques or both of the last tick are not those of the control law; true for null.
+///
+/// # Safety
+/// As for `flight_joint_count`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_is_held(controller: *const FlightController) -> bool {
+    // SAFETY: by this function's contract.
+    unsafe { controller.as_ref() }.is_none_or(|controller| controller.controller.command().modes.is_held())
 }
 
 /// Throttle \[%\] with which a jet's engine follows the thrust rate of the last tick, for robots whose engines take no
@@ -718,7 +679,7 @@ pub unsafe extern "C" fn flight_start(
         match controller.start(&measurement) {
             Ok(started) => {
                 *flight = Some(started);
-                FlightStatus::FlightNominal
+                FlightStatus::FlightOk
             }
             Err(bad) => {
                 reason = bad.to_string();
@@ -726,7 +687,7 @@ pub unsafe extern "C" fn flight_start(
             }
         }
     });
-    if status != FlightStatus::FlightNominal {
+    if status != FlightStatus::FlightOk {
         // SAFETY: by this function's contract.
         unsafe { report(&reason, message, message_size) };
     }
@@ -795,7 +756,7 @@ pub unsafe extern "C" fn flight_tick_ahead(
             copy_out(answer.joint_velocity.as_slice(), command.joint_velocity);
             copy_out(answer.joint_torque.as_slice(), command.joint_torque);
         }
-        status_of(answer)
+        FlightStatus::FlightOk
     });
     if status == FlightStatus::FlightPanicked {
         // SAFETY: not null, and of these lengths by this function's contract.
@@ -831,7 +792,7 @@ pub unsafe extern "C" fn flight_replace_command(
         let (rates, torques) =
             unsafe { (view(command.thrust_rate, jets), view(command.joint_torque, joints)) };
         match controller.controller.replace_command(flight, rates, torques) {
-            Ok(()) => FlightStatus::FlightNominal,
+            Ok(()) => FlightStatus::FlightOk,
             Err(BadCommand) => FlightStatus::FlightBadCommand,
         }
     })
@@ -839,8 +800,8 @@ pub unsafe extern "C" fn flight_replace_command(
 
 /// One tick of the torques between two ticks of the law: writes `joint_torque` of `command` for new measurements of the
 /// joints \[rad, m; rad/s, m/s\], NaN where there is none; the other arrays are not touched. To be called
-/// `controller.torque.steps` − 1 times after each `flight_tick`, at equal times. The status is that of the last tick, or
-/// `FLIGHT_TORQUE_HELD` and the like where the torques are kept.
+/// `controller.torque.steps` − 1 times after each `flight_tick`, at equal times. Where the torques are kept
+/// `flight_is_held` says so.
 ///
 /// # Safety
 /// The pointers are null or point to objects of their types, positions and velocities to as many numbers as joints.
@@ -867,7 +828,7 @@ pub unsafe extern "C" fn flight_tick_torques(
         let answer = controller.controller.tick_torques(flight, &JointMeasurement { position, velocity });
         // SAFETY: not null, and of this length by this function's contract.
         unsafe { copy_out(answer.joint_torque.as_slice(), command.joint_torque) };
-        status_of(answer)
+        FlightStatus::FlightOk
     })
 }
 
@@ -931,7 +892,7 @@ pub unsafe extern "C" fn flight_robot_measure(
         };
         // SAFETY: space for a measurement, by this function's contract.
         unsafe { measurement.write(measured) };
-        FlightStatus::FlightNominal
+        FlightStatus::FlightOk
     })
 }
 
@@ -992,7 +953,7 @@ pub unsafe extern "C" fn flight_robot_advance_in_steps(
         robot.ticks += 1;
         let state = robot.plant.state();
         let is_possible = state.is_finite() && state.velocity.amax() < GREATEST_VELOCITY;
-        if is_possible { FlightStatus::FlightNominal } else { FlightStatus::FlightDiverged }
+        if is_possible { FlightStatus::FlightOk } else { FlightStatus::FlightDiverged }
     })
 }
 

@@ -36,7 +36,7 @@ pub mod state;
 pub mod terms;
 pub mod tick;
 
-pub use command::{BadCommand, Command, CommandStatus};
+pub use command::{BadCommand, Command};
 pub use config::check_time_step;
 pub use measurement::{BadStart, Measurement, OwnedMeasurement, Reading, UsedMeasurement};
 pub use modes::Modes;

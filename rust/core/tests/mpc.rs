@@ -14,7 +14,7 @@ use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::mpc::plan::Plan;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{Command, CommandStatus, Given, Preview, Terms};
+use flight_core::control::{Command, Given, Modes, Preview, Terms};
 use flight_core::dynamics::Dynamics;
 use flight_core::jets::JetDynamics;
 use flight_core::kinematics::Kinematics;
@@ -700,7 +700,7 @@ fn the_law_plans_every_period() {
             wind: Vector3::new(0.0, -5.0, 0.1 * f64::from(tick)),
         };
         let command = controller.tick(&sample.measurement());
-        assert!(matches!(command.status, CommandStatus::Nominal | CommandStatus::Degraded));
+        assert!(!command.modes.intersects(Modes::OF_SOLVERS));
         answers.push(command.rates_qp.kkt);
     }
     assert!(answers[0] == answers[1] && answers[1] == answers[2] && answers[2] != answers[3]);
@@ -741,14 +741,14 @@ fn a_given_future_is_followed_as_that_of_the_mission() {
             let preview = Preview { setpoints, ..Preview::default() };
             let given = Given { setpoint: Some(&setpoint), preview, ..Given::default() };
             let command = controller.tick_with(&measurement, &given);
-            (rates(command), command.status)
+            (rates(command), command.modes)
         };
-        let (found, status) = ticked(&mut informed, &next);
-        assert_eq!(status, CommandStatus::Nominal);
+        let (found, modes) = ticked(&mut informed, &next);
+        assert_eq!(modes, Modes::default());
         error = error.max((found - &expected).amax());
-        let (without, status) = ticked(&mut uninformed, &[]);
-        assert_eq!(status, CommandStatus::Nominal);
-        assert_eq!(ticked(&mut misled, &unordered), (without.clone(), CommandStatus::BadPreview));
+        let (without, modes) = ticked(&mut uninformed, &[]);
+        assert_eq!(modes, Modes::default());
+        assert_eq!(ticked(&mut misled, &unordered), (without.clone(), Modes::PREVIEW_IGNORED));
         difference = difference.max((without - &expected).amax());
         world.advance(&wind);
     }
@@ -767,18 +767,18 @@ fn a_plan_expects_the_wind_ahead() {
         let (state, thrust) = (world.plant.state(), world.plant.jets().thrust_feedback());
         let preview = Preview { wind, ..Preview::default() };
         let command = controller.tick_with(&at(0.0, state, thrust), &Given { preview, ..Given::default() });
-        (command.status, command.thrust_rate.clone())
+        (command.modes, command.thrust_rate.clone())
     };
     let side = Vector3::new(0.0, -8.0, 0.0);
     let without = plan(&[]);
     assert_eq!(plan(&[(0.0, side)]), without, "a wind that lasts is no change");
-    let (status, rates) = plan(&[(0.0, Vector3::zeros()), (0.3, Vector3::zeros()), (0.5, side)]);
-    assert_eq!(status, CommandStatus::Nominal);
+    let (modes, rates) = plan(&[(0.0, Vector3::zeros()), (0.3, Vector3::zeros()), (0.5, side)]);
+    assert_eq!(modes, Modes::default());
     assert!((&rates - &without.1).amax() > 1.0, "{rates} {}", without.1);
     for bad in
         [[(0.0, side), (0.0, side)], [(-0.1, side), (0.1, side)], [(0.0, side), (0.1, side * f64::NAN)]]
     {
-        assert_eq!(plan(&bad), (CommandStatus::BadPreview, without.1.clone()));
+        assert_eq!(plan(&bad), (Modes::PREVIEW_IGNORED, without.1.clone()));
     }
 }
 

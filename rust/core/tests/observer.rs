@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{Running, TIME_STEP, assert_within, experiment};
-use flight_core::control::CommandStatus;
+use flight_core::control::Modes;
 use flight_core::control::guard::observer::{MomentumSample, ObserverConfig, ObserverState};
 use flight_core::control::measurement::Sampling;
 use flight_core::dynamics::Dynamics;
@@ -280,7 +280,7 @@ fn a_tick_observes_what_its_model_leaves_out() {
         body.set_velocity(&matrix);
         plain.tick(&body.measurement());
         observing.tick(&body.measurement());
-        assert_eq!(observing.command().status, CommandStatus::Nominal);
+        assert_eq!(observing.command().modes, Modes::default());
         let (momentum, without) = (&observing.terms().momentum, &plain.terms().momentum);
         assert_eq!(without.unmodelled_wrench, Vector6::zeros());
         assert_eq!(momentum.rate_estimate, without.rate_estimate + momentum.unmodelled_wrench);
@@ -309,7 +309,7 @@ fn a_refused_tick_is_held_and_a_state_is_restored() {
     let before = flying.terms().momentum.unmodelled_wrench;
     for _ in 0..16 {
         let bad = Measurement { thrust: &[], ..sample.measurement() };
-        assert_eq!(flying.tick(&bad).status, CommandStatus::BadMeasurement);
+        assert!(flying.tick(&bad).modes.contains(Modes::MEASUREMENT_IGNORED));
         sample.tick += 1;
     }
     assert_eq!(wrench_after(&mut flying, &sample), before);

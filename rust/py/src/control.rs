@@ -170,13 +170,13 @@ impl Controller {
         tick_dict(py, &self.controller, self.state.as_ref())
     }
 
-    /// Compute one tick of the torques between two ticks of the law; returns torques and status.
+    /// Compute one tick of the torques between two ticks of the law; returns torques and modes.
     fn tick_torques<'py>(
         &mut self,
         py: Python<'py>,
         joint_position: Input<'_>,
         joint_velocity: Input<'_>,
-    ) -> PyResult<(Output<'py>, String)> {
+    ) -> PyResult<(Output<'py>, Vec<&'static str>)> {
         let joints = self.controller.model().joints.len();
         let position = entries("joint_position", &joint_position, &[joints])?;
         let velocity = entries("joint_velocity", &joint_velocity, &[joints])?;
@@ -188,7 +188,7 @@ impl Controller {
         let measured = JointMeasurement { position: &position, velocity: &velocity };
         let command = self.controller.tick_torques(state, &measured);
         let torque = vector(py, command.joint_torque.as_slice())?;
-        Ok((torque, format!("{:?}", command.status)))
+        Ok((torque, command.modes.names().collect()))
     }
 
     /// Report after a tick that other thrust rates (jets) [N/s] and joint torques (n) [N m] act until the next one.
@@ -351,7 +351,7 @@ pub fn tick_dict<'py>(
         out.set_item("torque_rows", matrix(py, &terms.torque_qp.problem.normals.transpose())?)?;
         out.set_item("torque_limit", vector(py, terms.torque_qp.problem.limit.as_slice())?)?;
     }
-    out.set_item("status", format!("{:?}", command.status))?;
+    out.set_item("is_held", command.modes.is_held())?;
     out.set_item("degraded_modes", command.modes.names().collect::<Vec<_>>())?;
     let conditions: Vec<f64> = terms.limits.joints.iter().map(|found| f64::from(found.code())).collect();
     out.set_item("joint_condition", vector(py, &conditions)?)?;

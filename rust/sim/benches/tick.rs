@@ -65,7 +65,7 @@ fn plan_times(config: &ScenarioConfig, from: f64) -> Result<Replays, BuildError>
             let measurement = tick.measurement();
             let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
             let begin = common::processor_time();
-            black_box(controller.tick(state, black_box(&measurement)).status);
+            black_box(controller.tick(state, black_box(&measurement)).modes);
             let taken = common::processor_time() - begin;
             if tick.time >= from && common::makes_plan(config, tick.time) {
                 times.push(1e6 * taken);
@@ -89,7 +89,7 @@ fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
             measured.copy_from(&tick.state);
             let measurement = Measurement { state: &measured, ..tick.measurement() };
             let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
-            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
+            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).modes));
         }
         Ok(())
     })
@@ -137,7 +137,7 @@ fn standing_tick_times() -> Result<Replays, BuildError> {
                 foot_wrenches: &tick.feet,
             };
             let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
-            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
+            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).modes));
         }
         Ok(())
     })

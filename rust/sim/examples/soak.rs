@@ -95,8 +95,8 @@ struct State {
     episodes: u64,
     refused: u64,
     ticks: u64,
-    /// Ticks by the status of their command.
-    statuses: BTreeMap<String, u64>,
+    /// Ticks by mode.
+    modes: BTreeMap<String, u64>,
     /// Number of events by kind.
     found: BTreeMap<String, u64>,
     events: Vec<Event>,
@@ -108,8 +108,8 @@ impl State {
     fn load(path: &Path, seed: u64) -> Result<Self, Box<dyn Error>> {
         if !path.exists() {
             let (episodes, refused, ticks) = (0, 0, 0);
-            let (statuses, found, events, durations) = Default::default();
-            return Ok(Self { seed, episodes, refused, ticks, statuses, found, events, durations });
+            let (modes, found, events, durations) = Default::default();
+            return Ok(Self { seed, episodes, refused, ticks, modes, found, events, durations });
         }
         let state: Self = serde_json::from_reader(File::open(path)?)?;
         if state.seed != seed {
@@ -145,11 +145,13 @@ impl State {
                 return;
             };
             // Added to the totals at the end of the flight.
-            let mut statuses = BTreeMap::<String, u64>::new();
+            let mut modes = BTreeMap::<&str, u64>::new();
             while tick < TICKS {
                 let ticked = episode.tick();
                 look(tick, &ticked);
-                *statuses.entry(format!("{:?}", ticked.status)).or_default() += 1;
+                for mode in ticked.modes.names() {
+                    *modes.entry(mode).or_default() += 1;
+                }
                 if let Some(finding) = ticked.finding {
                     self.record_event(number, tick, &format!("{finding:?}"), "");
                 }
@@ -157,8 +159,8 @@ impl State {
                 durations.add(ticked.duration, (number, tick));
                 tick += 1;
             }
-            for (status, count) in statuses {
-                *self.statuses.entry(status).or_default() += count;
+            for (mode, count) in modes {
+                *self.modes.entry(mode.to_owned()).or_default() += count;
             }
         }));
         self.ticks += tick;
@@ -173,7 +175,7 @@ impl State {
         for kind in ["Panic", "Allocation", "Uncertified", "NonFinite"] {
             println!("{kind:<12} {}", self.found.get(kind).unwrap_or(&0));
         }
-        println!("statuses     {:?}", self.statuses);
+        println!("modes        {:?}", self.modes);
         for (conditions, durations) in &self.durations {
             let (worst, (episode, tick)) = (durations.worst_ns as f64 / 1e3, durations.worst_at);
             println!(

@@ -5,7 +5,6 @@
 //! ```
 
 use flight_core::Measurement;
-use flight_core::control::CommandStatus;
 use flight_core::control::law::momentum_qp::{Equations, Layout, Task, TaskInputs};
 use flight_io::{MissionConfig, load_controller, load_robot};
 use flight_sim::{Plant, Scenario, ScenarioConfig, WindConfig, fly_batch, load_scenario};
@@ -78,8 +77,8 @@ fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
         }
         let measurement = Measurement { time, state: &robot_state, thrust: &thrust, ..first };
         let command = controller.tick(&mut state, &measurement);
-        if command.status != CommandStatus::Nominal {
-            println!("{time:.2} s: {} ({})", command.status, command.modes);
+        if !command.modes.is_empty() {
+            println!("{time:.2} s: {}", command.modes);
         }
         plant.advance(command.joint_torque.as_slice(), command.thrust_rate.as_slice(), &wind, time_step);
     }

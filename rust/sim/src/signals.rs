@@ -406,9 +406,11 @@ pub static SIGNALS: [Signal; 52] = [
         "degraded_modes",
         TIME,
         "1",
-        "in which ways the tick is degraded, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
+        "what in the tick is not as usual, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
          16 position, 32 rotation, 64 velocity predicted, 128 feet predicted, 256 clock predicted, 512 descending, 1024 engine limited, \
-         2048 begun again, 4096 joint limited, 16384 straying, 32768 residual ignored, 65536 late",
+         2048 begun again, 4096 joint limited, 8192 measurement ignored, 16384 straying, 32768 residual ignored, 65536 late, \
+         131072 state, 262144 set-point, 524288 preview ignored, 1048576 plan kept, 2097152 plan missing, \
+         4194304 momentum held, 8388608 torque held",
         |row, out| out.push(f64::from(row.command.modes.bits())),
     )),
     integer(tick(

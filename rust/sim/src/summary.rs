@@ -78,7 +78,7 @@ figures! {
     max_aero_force_difference ["N"] "greatest difference of the total aerodynamic force to the controller's";
     max_kkt ["1"] "greatest finite KKT residual of an answer";
     max_qp_iterations ["1"] "most iterations of a QP in one tick";
-    degraded_time ["s"] "time in which a channel is not measured, an engine is limited or the robot descends";
+    degraded_time ["s"] "time in which a tick has a mode other than those of solvers";
     nominal_until ["s"] "time of the first such tick, without one of the last tick";
     all_modes ["1"] "modes that any tick has, a sum of bits";
     end_com_x ["m"] "x of the centre of mass at the end";
@@ -123,7 +123,8 @@ impl Summary {
         let distances = || com_errors.iter().map(Vector3::norm);
         let along = |axis: usize| greatest_of(com_errors.iter().map(|error| error[axis].abs()));
         let tick = time.get(1).copied().unwrap_or_default();
-        let degraded = || time.iter().zip(modes).filter(|(_, modes)| **modes > 0.0).map(|(time, _)| *time);
+        let other: Vec<f64> = modes.iter().copied().map(without_solvers).collect();
+        let degraded = || time.iter().zip(&other).filter(|(_, modes)| **modes > 0.0).map(|(time, _)| *time);
         let are_known = !modes.iter().any(|modes| modes.is_nan());
         let of_modes = |value: f64| if are_known { value } else { f64::NAN };
         let joints = log.joint_setpoint.len().max(1);
@@ -165,7 +166,7 @@ impl Summary {
             ),
             max_kkt: greatest_of(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
             max_qp_iterations: greatest(of_qps("qp_iterations")),
-            degraded_time: tick * ticks_above(modes.iter().copied(), 0.0),
+            degraded_time: tick * ticks_above(other.iter().copied(), 0.0),
             nominal_until: of_modes(degraded().next().unwrap_or(end)),
             all_modes: of_modes(all_modes(modes)),
             end_com_x: end_com.x,
@@ -196,6 +197,12 @@ fn ticks_above(mut values: impl Iterator<Item = f64>, limit: f64) -> f64 {
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // bits of `Modes`, which are 32
 fn is_descending(modes: f64) -> bool {
     modes as u32 & Modes::DESCENDING.bits() != 0
+}
+
+/// A set of modes without those of solvers; NaN if it is not known.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // bits of `Modes`, which are 32
+fn without_solvers(modes: f64) -> f64 {
+    if modes.is_nan() { modes } else { f64::from(modes as u32 & !Modes::OF_SOLVERS.bits()) }
 }
 
 /// Union of sets of modes.

@@ -18,7 +18,7 @@ use common::{Loop, Running, experiment, outage, tick_at};
 use episode::Episodes;
 use flight_core::Measurement;
 use flight_core::aero::Precision;
-use flight_core::control::CommandStatus;
+use flight_core::control::Modes;
 use flight_core::control::config::{Fallback, Solver};
 use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, load_robot};
@@ -71,7 +71,7 @@ fn assert_no_allocations(
         }
         let command = flight.controller.command();
         active = active.max(command.rates_qp.active).max(command.torque_qp.active);
-        nominal &= command.status == CommandStatus::Nominal;
+        nominal &= command.modes.is_empty();
         let (torque, rate) = (command.joint_torque.as_slice(), command.thrust_rate.as_slice());
         in_plant += allocations(|| flight.plant.advance(torque, rate, &blow, 0.01));
     }
@@ -267,7 +267,7 @@ fn a_tick_on_the_ground_does_not_allocate() {
             if tick > 0 {
                 counted += of_this_tick;
             }
-            assert_eq!(controller.command().status, CommandStatus::Nominal, "tick {tick}");
+            assert_eq!(controller.command().modes, Modes::default(), "tick {tick}");
             rows = rows.max(controller.command().torque_qp.active);
         }
         assert_eq!(counted, 0, "{fallback:?}");

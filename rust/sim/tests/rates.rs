@@ -8,7 +8,7 @@ use flight_core::Controller;
 use flight_core::control::between::{JointMeasurement, JointTracker, JointsBetween};
 use flight_core::control::guard::channels::ChannelsConfig;
 use flight_core::control::guard::estimator::{EstimatorConfig, LatencyConfig};
-use flight_core::control::{CommandStatus, ControllerState};
+use flight_core::control::{ControllerState, Modes};
 use flight_sim::sensors::EncoderConfig;
 use flight_sim::{ActuationConfig, Outcome, Scenario, ScenarioConfig, SensorsConfig};
 use std::ops::ControlFlow;
@@ -72,7 +72,7 @@ fn torques_follow_the_measured_velocities() {
         velocity[12] = speed;
         let command =
             controller.tick_torques(&mut state, &JointMeasurement { position: &rest, velocity: &velocity });
-        assert_eq!(command.status, CommandStatus::Nominal);
+        assert_eq!(command.modes, Modes::default());
         command.joint_torque.clone()
     };
     let change = (torque_at(0.1) - torque_at(0.0))[12];
@@ -88,12 +88,12 @@ fn a_state_of_another_tick_is_refused() {
     let measured = JointMeasurement { position: &rest, velocity: &velocity };
     let (mut controller, mut state) = ticked(&config);
     let mut other = state.clone();
-    assert_eq!(controller.tick_torques(&mut state, &measured).status, CommandStatus::Nominal);
+    assert_eq!(controller.tick_torques(&mut state, &measured).modes, Modes::default());
     let too_few = JointMeasurement { position: &rest[1..], velocity: &velocity };
-    assert_eq!(controller.tick_torques(&mut state, &too_few).status, CommandStatus::BadMeasurement);
+    assert!(controller.tick_torques(&mut state, &too_few).modes.contains(Modes::MEASUREMENT_IGNORED));
     let seen = config.simulator.initial.state();
     controller.tick(&mut state, &at(0.01, &seen, &config.simulator.initial.thrust));
-    assert_eq!(controller.tick_torques(&mut other, &measured).status, CommandStatus::BadState);
+    assert_eq!(controller.tick_torques(&mut other, &measured).modes, Modes::STATE_IGNORED);
 }
 
 /// A measurement of other sizes measures nothing: the torques stay for its tick, and the next one is as usual.
@@ -109,9 +109,9 @@ fn a_measurement_of_other_sizes_costs_one_tick() {
     let (mut controller, mut state) = ticked(&config);
     let torque = controller.command().joint_torque.clone();
     let command = controller.tick_torques(&mut state, &too_few);
-    assert_eq!((command.status, &command.joint_torque), (CommandStatus::BadMeasurement, &torque));
+    assert_eq!((command.modes, &command.joint_torque), (Modes::MEASUREMENT_IGNORED, &torque));
     let command = controller.tick_torques(&mut state, &measured);
-    assert_eq!(command.status, CommandStatus::Nominal);
+    assert_eq!(command.modes, Modes::default());
     assert!(command.joint_torque[12] < torque[12]);
 }
 

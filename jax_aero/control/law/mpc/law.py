@@ -25,7 +25,6 @@ from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import log_so3, rotate
 from jax_aero.control import qp
-from jax_aero.control.command import MOMENTUM_HELD, NOMINAL, PLAN_KEPT, PLAN_MISSING
 from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.mpc.config import Mpc
 from jax_aero.control.law.mpc.horizon import Horizon, Target, horizon
@@ -37,6 +36,7 @@ from jax_aero.control.preview import setpoints_at, wind_change
 from jax_aero.control.qp import BoxQp, QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
+from jax_aero.rust import MODES
 from jax_aero.types import Array, Setpoint
 
 EXCESS_PASSES = 30
@@ -91,8 +91,7 @@ class PredictiveLaw:
 
         def decide() -> tuple[ControllerState, Rates]:
             after, rates = self.momentum.decide(memory, prepared)
-            is_held = rates.status == MOMENTUM_HELD
-            return after, rates._replace(status=jnp.where(is_held, rates.status, PLAN_MISSING))
+            return after, rates._replace(modes=rates.modes | MODES["plan_missing"])
 
         chosen: tuple[ControllerState, Rates] = lax.cond(
             is_current, lambda: (memory, self._follow(memory, now, prepared, plan, age)), decide
@@ -220,8 +219,8 @@ class PredictiveLaw:
         u = jnp.concatenate([thrust_rate, joint_velocity])
         u = jnp.clip(u, of_tick.lower, of_tick.upper)
         answer = plan.answer._replace(x=u, side=jnp.zeros(u.shape, plan.answer.side.dtype))
-        status = jnp.where(plan.answer.status == qp.SOLVED, NOMINAL, PLAN_KEPT)
-        return Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], status=status)
+        modes = jnp.where(plan.answer.status == qp.SOLVED, 0, MODES["plan_kept"])
+        return Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], modes=modes)
 
 
 def _find_beyond(ahead: Horizon, bounds: tuple[Array, Array], last: Plan) -> _Search:

@@ -5,10 +5,10 @@
 //!
 //! Equation M152 of `docs/model`.
 
-use super::command::CommandStatus;
 use super::greatest;
 use super::guard::channels::{ChannelsConfig, Jumps};
 use super::guard::estimator::EstimatorConfig;
+use super::modes::Modes;
 use crate::kinematics::RobotState;
 use crate::timing::share;
 use nalgebra::{DVector, DVectorView};
@@ -33,8 +33,8 @@ pub struct JointsBetween {
     pub torque: DVector<f64>,
     /// Accelerations under them \[rad/s², m/s²\].
     pub acceleration: DVector<f64>,
-    /// Status of the last tick of the law, without its torques.
-    pub status: CommandStatus,
+    /// Modes of the last tick of the law, without its torques.
+    pub modes: Modes,
     /// Ticks of the torques since the last tick of the law.
     pub ticks: u32,
     /// Number of that tick in the flight.
@@ -51,7 +51,7 @@ impl JointsBetween {
             velocity: zero.clone(),
             torque: zero.clone(),
             acceleration: zero,
-            status: CommandStatus::Nominal,
+            modes: Modes::default(),
             ticks: 0,
             tick_of_law: 0,
         }

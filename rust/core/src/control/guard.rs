@@ -33,7 +33,7 @@ use super::law::contact::ContactState;
 use super::law::setpoint::SetpointState;
 use super::limits::{JointCondition, Limits};
 use super::measurement::{BadStart, Measurement, UsedMeasurement};
-use super::modes::{Modes, modes};
+use super::modes::Modes;
 use super::terms::Terms;
 use crate::aero::AeroModel;
 use crate::error::BuildError;
@@ -49,41 +49,6 @@ use nalgebra::DVector;
 use observer::{MomentumSample, ObserverConfig, ObserverState};
 use supervisor::{Errors, SupervisorConfig};
 use wind_observer::{WindObserver, WindState};
-
-modes! {
-    /// The wind is the last measured one, held or fading.
-    WIND_HELD = 0, "wind_held";
-    /// The wind has been missing for so long that still air is assumed.
-    WIND_LOST = 1, "wind_lost";
-    /// A thrust is predicted by the model of the jet.
-    THRUST_MODELLED = 2, "thrust_modelled";
-    /// Joint positions and velocities are predicted by the model.
-    JOINTS_PREDICTED = 3, "joints_predicted";
-    /// The base position is predicted by the model.
-    POSITION_PREDICTED = 4, "position_predicted";
-    /// The base rotation is predicted by the model.
-    ROTATION_PREDICTED = 5, "rotation_predicted";
-    /// The base velocity is predicted by the model, or follows the pose.
-    VELOCITY_PREDICTED = 6, "velocity_predicted";
-    /// The foot wrenches are those that keep the feet at rest in the model.
-    FEET_PREDICTED = 7, "feet_predicted";
-    /// The time is the controller's own, because the clock is missing or has jumped.
-    CLOCK_PREDICTED = 8, "clock_predicted";
-    /// The robot levels and descends instead of following its mission.
-    DESCENDING = 9, "descending";
-    /// An engine does not reach its commanded thrust.
-    ENGINE_LIMITED = 10, "engine_limited";
-    /// The first measurements are outvoted: the flight begins again from those of this tick.
-    BEGUN_AGAIN = 11, "begun_again";
-    /// A joint does not follow its torque.
-    JOINT_LIMITED = 12, "joint_limited";
-    /// The flight strays from its set-point.
-    STRAYING = 14, "straying";
-    /// The residual of a policy, or a given one, is not finite and not used.
-    RESIDUAL_IGNORED = 15, "residual_ignored";
-    /// Commands act later or earlier than the controller knows.
-    LATE = 16, "late";
-}
 
 /// The guard of one controller, with its workspace.
 #[derive(Debug)]

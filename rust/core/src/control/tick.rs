@@ -3,7 +3,7 @@
 mod build;
 
 use super::between::{JointMeasurement, JointTracker, JointsBetween};
-use super::command::{BadCommand, Command, CommandStatus};
+use super::command::{BadCommand, Command};
 use super::guard::Guard;
 use super::law::contact::ContactState;
 use super::law::momentum::AeroFeedback;
@@ -58,11 +58,11 @@ pub struct Controller {
 /// What a tick is given beside its measurement; by default nothing: it follows the mission.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Given<'a> {
-    /// Set-point in place of the mission's. An invalid one results in the status [`CommandStatus::BadSetpoint`], and the
-    /// robot brakes from the motion of the last valid one (M115). During a descent set-points are ignored.
+    /// Set-point in place of the mission's. An invalid one is ignored ([`Modes::SETPOINT_IGNORED`]), and the robot
+    /// brakes from the motion of the last valid one (M115). During a descent set-points are ignored.
     pub setpoint: Option<&'a Setpoint>,
-    /// What is known of the future. Set-points or winds of an invalid preview are ignored, with the status
-    /// [`CommandStatus::BadPreview`].
+    /// What is known of the future. Set-points or winds of an invalid preview are ignored
+    /// ([`Modes::PREVIEW_IGNORED`]).
     pub preview: Preview<'a>,
     /// Residual in place of the policy's. One of another robot's sizes is not used, as is one that is not finite.
     pub residual: Option<&'a Residual<'a>>,
@@ -131,22 +131,18 @@ impl Controller {
         terms.update_model(model, aero, *conventions, *feedback);
         guard.detect(model, &mut state.guard, &mut state.contact, &mut state.setpoint, terms);
         command.modes = terms.measurement.modes;
+        command.modes.insert_if(!is_valid, Modes::SETPOINT_IGNORED);
+        command.modes.insert_if(!has_valid_preview, Modes::PREVIEW_IGNORED);
         command.joint_torque.copy_from(&state.joint_torque);
         if is_usable {
             law.solve(model, aero, state, &preview, terms, command);
             steer(policy.as_mut(), given.residual, state, terms, command);
-            if command.status.is_of_law() {
-                command.status = match (is_valid, has_valid_preview) {
-                    (false, _) => CommandStatus::BadSetpoint,
-                    (true, false) => CommandStatus::BadPreview,
-                    (true, true) => command.status,
-                };
-            }
-            state.between.status = command.status;
+            state.between.modes = command.modes;
             torques.solve(state, terms, command);
         } else {
-            command.set_hold(CommandStatus::BadMeasurement, command.modes);
-            state.between.status = command.status;
+            command.modes.insert(Modes::MEASUREMENT_IGNORED);
+            command.set_hold(command.modes);
+            state.between.modes = command.modes;
         }
         command.set_throttle(jets, &terms.measurement, *time_step);
         guard.predict(model, &mut state.guard, terms, command);
@@ -162,8 +158,8 @@ impl Controller {
     /// times after each of those, at equal times, with the state of that tick.
     ///
     /// Joints that are not measured are predicted. A tick without an answer of the QP, or with a measurement of other
-    /// sizes, keeps the torques and has another status; the next one is as usual. With the state of another controller, or one with which this
-    /// controller did not tick last, the command holds ([`CommandStatus::BadState`]).
+    /// sizes, keeps the torques and has another mode; the next one is as usual. With the state of another controller, or one with which this
+    /// controller did not tick last, the command holds ([`Modes::STATE_IGNORED`]).
     pub fn tick_torques(&mut self, state: &mut ControllerState, measured: &JointMeasurement) -> &Command {
         let is_last =
             state.between.tick_of_law == self.last_tick && state.between.torque == self.command.joint_torque;
@@ -176,8 +172,9 @@ impl Controller {
         let nothing = JointMeasurement { position: &[], velocity: &[] };
         joints.update(&mut state.between, if is_sized { measured } else { &nothing });
         state.between.ticks += 1;
-        command.status = if is_sized { state.between.status } else { CommandStatus::BadMeasurement };
-        if command.status == CommandStatus::BadMeasurement {
+        command.modes = state.between.modes;
+        command.modes.insert_if(!is_sized, Modes::MEASUREMENT_IGNORED);
+        if command.modes.contains(Modes::MEASUREMENT_IGNORED) {
             return command;
         }
         let velocity = std::mem::take(&mut state.between.velocity);
@@ -191,7 +188,7 @@ impl Controller {
     /// Holds: this state is not the one with which the controller ticks.
     fn refuse_state(&mut self) -> &Command {
         let Self { command, jets, terms, time_step, .. } = self;
-        command.set_hold(CommandStatus::BadState, Modes::default());
+        command.set_hold(Modes::STATE_IGNORED);
         command.set_throttle(jets, &terms.measurement, *time_step);
         command
     }

@@ -7,7 +7,7 @@ use crate::common::counting::allocations;
 use crate::common::{configs, experiment, hover_of, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{CommandStatus, ControllerState, Given, OwnedMeasurement, Preview};
+use flight_core::control::{ControllerState, Given, Modes, OwnedMeasurement, Preview};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, QpStatus, kkt_residual};
 use flight_core::robot::RobotModel;
 use flight_core::{BuildError, Controller, Measurement};
@@ -40,7 +40,7 @@ pub enum Finding {
 pub struct Ticked {
     /// How long `Controller::tick` took.
     pub duration: Duration,
-    pub status: CommandStatus,
+    pub modes: Modes,
     pub finding: Option<Finding>,
 }
 
@@ -339,11 +339,11 @@ impl Episode {
         } else {
             None
         };
-        let status = command.status;
+        let modes = command.modes;
         let finding = finding.or((!self.is_accounted_for()).then_some(Finding::Uncertified));
         self.advance();
         self.tick += 1;
-        Ticked { duration, status, finding }
+        Ticked { duration, modes, finding }
     }
 
     /// What the sensors say, faults included; returns the time \[s\].
@@ -412,18 +412,14 @@ impl Episode {
                 || is_minimiser(&terms.torque_qp.problem, terms.unlimited_torque.as_slice()));
         let held = || command.joint_torque.as_slice() == self.torque;
         let still = || unknowns.thrust_rate.clone().chain(unknowns.joint_velocity.clone()).all(nearest);
-        match command.status {
-            CommandStatus::Nominal | CommandStatus::Degraded => momentum && torque,
-            // These statuses come before that of a plan that is kept.
-            CommandStatus::BadSetpoint | CommandStatus::BadPreview => (momentum || self.plans) && torque,
-            CommandStatus::TorqueHeld => (momentum || self.plans) && held(),
-            CommandStatus::PlanKept | CommandStatus::PlanMissing => torque,
-            CommandStatus::MomentumHeld => still() && torque,
-            CommandStatus::BothHeld => still() && held(),
-            CommandStatus::BadMeasurement | CommandStatus::BadState => {
-                held() && command.thrust_rate.iter().chain(&command.joint_velocity).all(|rate| *rate == 0.0)
-            }
+        let says = |mode| command.modes.contains(mode);
+        if says(Modes::MEASUREMENT_IGNORED) || says(Modes::STATE_IGNORED) {
+            return held()
+                && command.thrust_rate.iter().chain(&command.joint_velocity).all(|rate| *rate == 0.0);
         }
+        let is_old = says(Modes::PLAN_KEPT);
+        let rates = if says(Modes::MOMENTUM_HELD) { still() } else { momentum || is_old };
+        rates && if says(Modes::TORQUE_HELD) { held() } else { torque }
     }
 
     /// The plant follows the command; one that physics excludes begins again.

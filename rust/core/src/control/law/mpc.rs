@@ -22,7 +22,8 @@ pub mod prediction;
 
 use super::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
-use crate::control::command::{Command, CommandStatus};
+use crate::control::command::Command;
+use crate::control::modes::Modes;
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
@@ -165,11 +166,7 @@ impl PredictiveLaw {
         self.follow_plan(state, terms, age, command);
         let answer = state.plan.answer.unwrap_or(QpAnswer::from_status(QpStatus::NonFinite));
         command.rates_qp = answer;
-        command.status = if !is_planned || answer.status != QpStatus::Solved {
-            CommandStatus::PlanKept
-        } else {
-            CommandStatus::of_modes(command.modes)
-        };
+        command.modes.insert_if(!is_planned || answer.status != QpStatus::Solved, Modes::PLAN_KEPT);
         true
     }
 

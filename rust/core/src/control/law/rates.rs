@@ -5,8 +5,9 @@ use super::momentum_qp::TaskInputs;
 use super::mpc::{PredictiveLaw, Upcoming};
 use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
 use crate::aero::AeroModel;
-use crate::control::command::{Command, CommandStatus};
+use crate::control::command::Command;
 use crate::control::limits::JointCondition;
+use crate::control::modes::Modes;
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
@@ -102,9 +103,7 @@ impl Law {
         let motion = Upcoming { generator, ahead: *ahead, preview };
         if !predictive.command(robot, aero, state, &motion, terms, command) {
             self.decide(state, terms, command);
-            if command.status.is_of_law() {
-                command.status = CommandStatus::PlanMissing;
-            }
+            command.modes.insert(Modes::PLAN_MISSING);
         }
     }
 
@@ -163,9 +162,8 @@ impl Law {
         let answer = self.solver.solve_from(&mut state.momentum_start, &momentum_qp.problem);
         command.rates_qp = answer;
         self.solution.as_mut_slice().copy_from_slice(self.solver.x());
-        command.status = CommandStatus::of_modes(command.modes);
         if answer.status != QpStatus::Solved {
-            command.status = CommandStatus::MomentumHeld;
+            command.modes.insert(Modes::MOMENTUM_HELD);
             // Zero rates, as far as the bounds allow.
             self.solution.fill(0.0);
             momentum_qp.problem.clamp(self.solution.as_mut_slice());

@@ -10,7 +10,7 @@
 //! ([`Modes::RESIDUAL_IGNORED`]), nor is one without an answer of the law. Equations M170 to M172 of `docs/model`.
 
 use crate::aero::network::{Layer, Tensors};
-use crate::control::command::{Command, CommandStatus};
+use crate::control::command::Command;
 use crate::control::guard::observer::{MomentumSample, ObserverConfig};
 use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
@@ -345,12 +345,9 @@ fn add(replaces: bool, terms: &Terms, command: &mut Command) {
     let Terms { residual, momentum_qp, .. } = terms;
     if !residual.iter().all(|number| number.is_finite()) {
         command.modes.insert(Modes::RESIDUAL_IGNORED);
-        if command.status == CommandStatus::Nominal {
-            command.status = CommandStatus::Degraded;
-        }
         return;
     }
-    if command.status.is_held() {
+    if command.modes.is_held() {
         return;
     }
     let (unknowns, problem) = (&momentum_qp.unknowns, &momentum_qp.problem);

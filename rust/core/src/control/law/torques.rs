@@ -5,8 +5,9 @@
 //! This file has the integral of M68 and the friction of M69 of `docs/model`.
 
 use super::torque::limit_rate;
-use crate::control::command::{Command, CommandStatus};
+use crate::control::command::Command;
 use crate::control::limits::JointCondition;
+use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::qp::{QpAnswer, QpChain, QpSolver, QpStatus};
@@ -122,14 +123,11 @@ impl Torques {
             limit_rate(&mut state.joint_torque, unlimited_torque.as_slice(), rate_max, self.period);
             command.joint_torque.copy_from(&state.joint_torque);
         } else {
-            command.status = match command.status {
-                CommandStatus::MomentumHeld | CommandStatus::BothHeld => CommandStatus::BothHeld,
-                _ => CommandStatus::TorqueHeld,
-            };
+            command.modes.insert(Modes::TORQUE_HELD);
         }
         // Forward Euler: used first, advanced after. Without a commanded velocity there is no error to integrate; with
         // held torques the integral would grow without effect on the torques.
-        if !command.status.is_held() {
+        if !command.modes.is_held() {
             let integral = state.velocity_error_integral.iter_mut();
             for (integral, error) in integral.zip(&self.velocity_error) {
                 *integral = (*integral + self.period * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
