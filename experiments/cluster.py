@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from experiments import Refused, manifest, sources
 from jax_aero.base import places
+from jax_aero.base.terminal import missing_package
 from jax_aero.cli import count
 
 Key = TypeVar("Key")
@@ -68,10 +69,8 @@ class Ray:
         """
         try:
             import ray
-        except ImportError:
-            raise Refused(
-                "--cluster ray needs the package `ray`; the extra `cluster` of this package brings it"
-            ) from None
+        except ModuleNotFoundError as missing:
+            raise Refused(missing_package("--cluster ray", missing, "cluster")) from None
         address = self.address or os.environ.get("RAY_ADDRESS")
         started = not ray.is_initialized()
         if started:

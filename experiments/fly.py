@@ -55,7 +55,7 @@ def _fly_row(sweep: str, number: str, changes: Mapping[str, Any], **options: Any
     if not number.isdecimal() or int(number) >= design.n_rows:
         raise Refused(f"--row is {number} of {sweep}; expected a number from 0 to {design.n_rows - 1}")
     config = rust.set_keys(design.row_config(int(number)), changes)
-    labels = ", ".join(str(level.label) for level in design.cells[int(number) // design.spec.repeats])
+    labels = ", ".join(str(level.label) for level in design.cells[design.place(int(number))[0]])
     config["title"] = f"{design.spec.title}: {labels}"
     options["named"] = options["named"] or f"{design.spec.name}--row_{number}{overrides.folder_suffix(changes)}"
     options["out"] = options["out"] or places.RESULTS / "flight"

@@ -1,7 +1,7 @@
 """What differs between a local result and today's configuration, files and code of its name (`experiments.identity`).
 
-If the configuration differs, its keys are named; if no key differs, a file named in it does. A name that is not
-shipped, such as that of a user's file, is checked by its code alone.
+If the configuration differs, its keys are named; if no key differs, a file named in it does. A sweep names its file;
+a flight whose name is not shipped, such as that of a user's file, is checked by its code alone.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def result(kind: str, folder: Path) -> str:
     if kind == "sweeps":
         from experiments.sweep import run
 
-        return sweep(name, read_json(folder / run.SWEEP_FILE, documents.SweepUnderWay))
+        return sweep(folder, read_json(folder / run.SWEEP_FILE, documents.SweepUnderWay))
     try:
         document = read_json(folder / places.MANIFEST_FILE, documents.Manifest)
     except Refused:
@@ -46,15 +46,21 @@ def flight(name: str, document: Mapping[str, Any]) -> str:
     return _configuration(name, document.get("config_digest"), document.get("config")) or _code(document)
 
 
-def sweep(name: str, document: Mapping[str, Any]) -> str:
-    """Return the difference of a result's description from the sweep of this name, or else in code."""
-    if name in places.names("sweeps"):
+def sweep(folder: Path, document: Mapping[str, Any]) -> str:
+    """Return the difference of a result's description from its file, or the sweep of its name, or else in code."""
+    shipped = places.folder_of("sweeps") / f"{folder.name}.toml"
+    file = folder / (document.get("file") or "")
+    if (file := file if file.is_file() else shipped).is_file():
         # Sweeps need pyarrow, which the extra of figures does not bring.
         from experiments.sweep import run, spec
         from experiments.sweep.design import Design
 
-        today = spec.load(name)
-        if Design(today).digest != document.get("config_digest"):
+        try:
+            today = spec.load(str(file))
+            digest = Design(today).digest
+        except Refused as reason:
+            return str(reason)
+        if digest != document.get("config_digest"):
             described = run.describe(today)
             kept = {key: document.get(key) for key in described}
             return _list_keys(_differing_keys(kept, described)) or "the flights of its cells, or a file that they name"

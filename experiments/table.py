@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any, TypeAlias
 
 import pandas as pd
@@ -17,7 +19,7 @@ Rows: TypeAlias = Sequence[Sequence[str]]
 HEADINGS = (
     "flight",
     "outcome",
-    f"max CoM error from {SETTLING_TIME:g} s [m]",
+    f"max CoM error from {SETTLING_TIME:g} s [cm]",
     "max rotation error [deg]",
     "thrusts [N]",
 )
@@ -29,7 +31,7 @@ def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
 
 
 def text_table(rows: Rows) -> str:
-    """Return rows in columns of equal width. A text of several lines is one line."""
+    """Return rows in columns of equal width, numbers below each other. A text of several lines is one line."""
     return _tabulate([[cell.replace("\n", "\\n") for cell in row] for row in rows], "simple")
 
 
@@ -46,8 +48,10 @@ def csv_table(rows: Rows) -> str:
 
 def latex_table(rows: Rows) -> str:
     """Return rows as a `tabular` with the rules of booktabs; `$...$` is mathematics."""
-    styled = _frame(rows).style.hide(axis="index").format(escape="latex-math")
-    text: str = styled.format_index(escape="latex-math", axis="columns").to_latex(hrules=True)
+    aligned, sides = _align(rows, "\u2007")
+    styled = _frame(aligned).style.hide(axis="index").format(escape="latex-math")
+    styled = styled.format_index(escape="latex-math", axis="columns")
+    text: str = styled.to_latex(hrules=True, column_format="".join(side[0] for side in sides))
     return text.rstrip("\n").translate(SIGNS)
 
 
@@ -56,15 +60,38 @@ def _frame(rows: Rows) -> pd.DataFrame:
     return pd.DataFrame(body, columns=head, dtype=str)
 
 
+def _align(rows: Rows, space: str) -> tuple[Rows, list[str]]:
+    """Return rows whose intervals have equally wide numbers in a column, and the side of each column."""
+    columns, sides = [], []
+    for heading, *cells in zip(*rows, strict=True):
+        is_of_numbers = any(cells) and all(INTERVAL.fullmatch(cell) or not cell for cell in cells)
+        sides.append("right" if is_of_numbers else "left")
+        if any("(" in cell for cell in cells) and is_of_numbers:
+            widths = [max(map(len, ends)) for ends in zip_longest(*map(NUMBER.findall, cells), fillvalue="")]
+            cells = [_pad(cell.replace("-", "−"), widths, space) for cell in cells]
+        columns.append([heading, *cells])
+    return list(zip(*columns, strict=True)), sides
+
+
+def _pad(cell: str, widths: Iterable[int], space: str) -> str:
+    left = iter(widths)
+    return NUMBER.sub(lambda found: found[0].rjust(next(left), space), cell)
+
+
+NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?")
+INTERVAL = re.compile(rf"{NUMBER.pattern}(?: \({NUMBER.pattern} to {NUMBER.pattern}\))?")
+
+
 def _tabulate(rows: Rows, form: str) -> str:
-    text = _frame(rows).to_markdown(index=False, tablefmt=form, disable_numparse=True)
+    aligned, sides = _align(rows, " ")
+    text = _frame(aligned).to_markdown(index=False, tablefmt=form, disable_numparse=True, colalign=sides)
     return "\n".join(line.rstrip() for line in text.splitlines())
 
 
 SIGNS = str.maketrans(
     {sign: rf"\ensuremath{{{sign}}}" for sign in "<>|"}
     | {"±": r"\ensuremath{\pm}", "≤": r"\ensuremath{\leq}", "≥": r"\ensuremath{\geq}"}
-    | {"−": r"\ensuremath{-}", "°": r"\ensuremath{^\circ}"}
+    | {"−": r"\ensuremath{-}", "°": r"\ensuremath{^\circ}", "\u2007": r"\phantom{0}"}
 )
 """Signs that fonts of LaTeX lack, in text or in mathematics."""
 
@@ -74,14 +101,14 @@ FORMATS: Mapping[str, Callable[[Rows], str]] = {"text": text_table, "csv": csv_t
 
 def _row(manifest: Mapping[str, Any]) -> Sequence[str]:
     summary = manifest["summary"]
-    rotation = summary.get("max_rotation_error")
+    rotation, com = summary.get("max_rotation_error"), summary.get("max_com_error")
     outcome = ending(manifest["outcome"], manifest["lost_time"], manifest["lost_reason"])
     if manifest["outcome"] == "descended":
         outcome += f", arrives at {_number(summary.get('end_speed'), '.1f')} m/s"
     return (
         manifest["name"],
         outcome,
-        _number(summary.get("max_com_error"), ".3f"),
+        _number(None if com is None else 100.0 * com, ".1f"),
         _number(None if rotation is None else math.degrees(rotation), ".1f"),
         f"{_number(summary.get('thrust_min'), '.1f')} to {_number(summary.get('thrust_max'), '.1f')}",
     )

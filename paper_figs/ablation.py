@@ -14,6 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from experiments.sweep.intervals import SHARE
 from paper_figs import style
 from paper_figs.sweeps import Sweep, axis_label, level_label
 
@@ -27,7 +28,7 @@ SERIES = (
     (style.SKY, "X", "-."),
 )
 COLUMNS: Sequence[tuple[str, str]] = (
-    ("upright", "completed or landed [%],\nWilson 95 %"),
+    ("upright", SHARE.replace(", ", ",\n")),
     ("rotation_error_deg", "max rotation error [deg]"),
     ("com_error", "max CoM error [cm]"),
 )
@@ -63,7 +64,7 @@ def spread(cells: pd.DataFrame, quantity: str) -> tuple[Any, Any, Any]:
         share = 100.0 * cells["upright"] / cells["flights"].clip(lower=1)
         return share, 100.0 * cells["upright_low"], 100.0 * cells["upright_high"]
     factor = 100.0 if quantity == "com_error" else 1.0
-    centre, low, high = (factor * cells[f"{quantity}_{end}"] for end in ("median", "low", "high"))
+    centre, low, high = (factor * cells[f"{quantity}_{end}"] for end in ("median", "p10", "p90"))
     return centre, low, high
 
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from jax_aero.base.terminal import missing_package
 from paper_figs import style
 from paper_figs.runs import MissingRun
 
@@ -107,7 +108,7 @@ def plotter() -> Any:
     try:
         import pyvista
     except ModuleNotFoundError as missing:
-        raise MissingRun(f"it needs the package `{missing.name}`: pip install 'jax-aero[flow]'") from None
+        raise MissingRun(missing_package("it", missing, "flow")) from None
     with pyvista.vtk_verbosity("error"):  # VTK warns of every unavailable kind of window
         found = pyvista.Plotter(off_screen=True, window_size=PIXELS, lighting="three lights")
     # The last kind that VTK tries; without its library it would end the process.

@@ -6,6 +6,7 @@ import re
 
 from matplotlib.figure import Figure
 
+from experiments.sweep.intervals import SHARE, share
 from paper_figs import style
 from paper_figs.ablation import SERIES, legend
 from paper_figs.sweeps import Sweep
@@ -16,8 +17,6 @@ TIMED = re.compile(r"(?P<kind>.+), (?P<time>[\d.]+) s")
 
 def draw(sweep: Sweep) -> Figure:
     """Draw a sweep whose first axis has missions, over all levels of the axes that are no panels."""
-    from experiments.sweep.table import wilson  # needs pyarrow, which `make demo` lacks
-
     missions = sweep.axes[0] if sweep.axes else {"name": "", "levels": []}
     timed = {level: found for level in missions["levels"] if (found := TIMED.fullmatch(str(level)))}
     panel = sweep.panel_axis
@@ -35,13 +34,13 @@ def draw(sweep: Sweep) -> Figure:
                 for level, found in timed.items()
                 if found["kind"] == kind
             ]
-            for time, flights, upright in points:
-                axes.vlines(time, *(100.0 * end for end in wilson(int(upright), int(flights))), color=colour)
-            times, shares = zip(*((time, 100.0 * upright / flights) for time, flights, upright in points), strict=True)
-            axes.plot(times, shares, dash, marker=marker, color=colour, markersize=4, label=kind)
+            times, shares = zip(*((time, share(upright, flights)) for time, flights, upright in points), strict=True)
+            middles, *ends = zip(*shares, strict=True)
+            axes.vlines(times, *ends, color=colour)
+            axes.plot(times, middles, dash, marker=marker, color=colour, markersize=4, label=kind)
         axes.set_title(fault, fontsize=7.5)
         axes.set_xlabel("time [s]")
-    row[0].set_ylabel("completed or landed [%],\nWilson 95 %")
+    row[0].set_ylabel(SHARE.replace(", ", ",\n"))
     row[0].set_ylim(-2.0, 102.0)
     legend(figure, row[0], sweep.title, len(kinds))
     style.footnote(figure, f"{counts['flights'].max()} flights a point; {sweep.footnote()}")

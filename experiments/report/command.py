@@ -249,7 +249,7 @@ def _runs(page: Page, results: Results) -> None:
     headings = (
         "run",
         "outcome",
-        "CoM error [m]",
+        "CoM error [cm]",
         "rotation error [deg]",
         "joint error sums, max: torso, arms l/r, legs l/r [deg]",
         "thrusts [N]",
@@ -284,7 +284,7 @@ def _run(results: Results, name: str) -> Sequence[str]:
     return (
         f"`{flight.name}` {literal(flight.title)}{_mark_outdated(results.differences[name])}",
         flight.ending,
-        "–" if math.isnan(flight.com_error) else f"{flight.com_error:.3f}",
+        "–" if math.isnan(flight.com_error) else f"{100.0 * flight.com_error:.1f}",
         f"{flight.rotation_error:.1f}",
         ", ".join(f"{error:.0f}" for error in flight.joint_errors.values()),
         f"{flight.thrust[0]:.1f} to {flight.thrust[1]:.1f}",

@@ -266,7 +266,7 @@ def fly_again(document: Kept, cell: int) -> list[Any]:
     sweep = Design(spec.load(document.result.removeprefix("sweeps/")))
     if len(sweep.cells) != len(document.firsts):
         raise Refused(f"{document.name} keeps {len(document.firsts)} cells; its sweep has {len(sweep.cells)}")
-    flight = backends.backend(sweep.spec.engine).fly(sweep.row_config(cell * sweep.spec.repeats))
+    flight = backends.backend(sweep.spec.engine).fly(sweep.row_config(cell))
     return first_of({"outcome": flight.outcome, **flight.summary})
 
 

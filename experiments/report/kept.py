@@ -18,7 +18,7 @@ import msgspec
 from experiments import Refused
 from experiments.report.findings import Finding
 from experiments.report.page import Heading, Mark, Page, Picture, Table, Text
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import wilson
 from jax_aero.base import places
 from jax_aero.base.files import read_json
 from jax_aero.rust import MODES

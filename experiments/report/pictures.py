@@ -16,7 +16,7 @@ import pandas as pd
 
 from experiments.report import kept
 from experiments.report.kept import ALL, Kept
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import wilson
 from jax_aero.base.files import write_bytes
 from paper_figs import style
 from paper_figs.command import draw_sweep
@@ -66,7 +66,7 @@ def _cell(row: dict[str, Any], names: list[str]) -> dict[str, Any]:
     for share in ("completed", "upright"):
         cell[f"{share}_low"], cell[f"{share}_high"] = wilson(cell[share], row["flights"])
     for quantity, column, factor in (("rotation_error_deg", "rotation_deg", 1.0), ("com_error", "com_cm", 0.01)):
-        for quantile, of in (("low", "median"), ("median", "median"), ("high", "high"), ("worst", "worst")):
+        for quantile, of in (("p10", "median"), ("median", "median"), ("p90", "high"), ("worst", "worst")):
             value = row[f"{column}_{of}"]
             cell[f"{quantity}_{quantile}"] = np.nan if value is None else factor * value
     return cell

@@ -153,7 +153,7 @@ class Results:
                 axes = [axis["name"] for axis in document["axes"]]
                 if missing := {*axes, "flights", "completed"} - set(columns):
                     raise Refused(f"{path} has no column `{min(missing)}`; --overwrite flies it again")
-                found[name] = Sweep(document, cells, outdated.sweep(name, document))
+                found[name] = Sweep(document, cells, outdated.sweep(path.parent, document))
         return found
 
     def flight(self, name: str) -> flight.Metrics:

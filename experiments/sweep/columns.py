@@ -1,32 +1,40 @@
-"""Units and meanings of the columns of a sweep's tables: in the files' metadata, and on one page of the site."""
+"""Columns of a sweep's tables: type, unit and meaning, in the files' metadata and on one page of the site."""
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple, TypeAlias
 
 import pyarrow as pa
 
-from experiments.sweep import table
 from jax_aero import rust
+from jax_aero.base.result import Outcome
 
 PAGE = "reference/columns.md"
-Columns = Mapping[str, tuple[str, str]]
-"""Unit, "1" for numbers without, and meaning, by name."""
 
-FLIGHTS: Columns = {
-    "row": ("1", "number of the flight"),
-    "cell": ("1", "number of its cell"),
-    "repeat": ("1", "number of its draws, which are the same in every cell"),
-    "member": ("", "network that was drawn from the ensemble"),
-    "config_hash": ("", "digest of its configuration"),
-    "outcome": ("", "how it ended"),
-    "lost_time": ("s", "when it was lost"),
-    "lost_reason": ("", "criterion of the loss"),
-    "error": ("", "why it could not be flown"),
-} | {
-    column: (rust.figures()[name].unit if column == name else "deg", rust.figures()[name].meaning)
-    for column, name in table.SUMMARY.items()
+OUTCOMES: tuple[str, ...] = typing.get_args(Outcome)
+
+SUMMARY = {
+    f"{name}_deg" if figure.unit == "rad" else name: name
+    for name, figure in rust.figures().items()
+    if not figure.is_of_ground
 }
+"""Figures of merit of a flight that are stored in the tables, by column; angles are in degrees there."""
+
+QUANTITIES = {
+    "rotation_error_deg": "max_rotation_error_deg",
+    "com_error": "max_com_error",
+    "joint_error_sum_deg": "max_joint_error_sum_deg",
+    **{name: name for name in ("thrust_max", "thrust_min", "lost_time", "nominal_until", "warning_time")},
+    "time_above_45_deg": "time_above_45_deg",
+}
+"""Columns of the table of flights whose quantiles that of cells has, by their names there."""
+
+QUANTILES = {"p10": 0.1, "median": 0.5, "p90": 0.9, "worst": 1.0}
+
+LEAST_WARNING = 0.3
+"""Time before the loss from which on a flight has to be degraded, so that it is not lost unwarned [s]."""
 
 SHARES = {
     "completed": "completed",
@@ -34,39 +42,68 @@ SHARES = {
     "on_course": "completed on course",
     "degraded": "were degraded for a time",
 }
-ENDS = {"low": "10 % quantile", "median": "median", "high": "90 % quantile", "worst": "greatest"}
+"""Counts of flights that have an interval."""
 
 
-def _of_cells() -> Iterator[tuple[str, tuple[str, str]]]:
-    yield "cell", ("1", "number of the cell")
-    yield "flights", ("1", "flights that could be flown")
-    yield "errors", ("1", "flights that could not be flown")
-    for outcome in table.OUTCOMES:
-        yield outcome, ("1", f"flights with the outcome {outcome}")
+class Column(NamedTuple):
+    """A column of a table."""
+
+    type: pa.DataType
+    unit: str
+    """"1" for numbers without."""
+    meaning: str
+
+
+Columns: TypeAlias = Mapping[str, Column]
+
+COUNT, NUMBER, TEXT = pa.int64(), pa.float64(), pa.string()
+
+PLACE: Columns = {
+    "row": Column(COUNT, "1", "number of the flight"),
+    "cell": Column(COUNT, "1", "number of its cell"),
+    "repeat": Column(COUNT, "1", "number of its draws, which are the same in every cell"),
+}
+DRAWN: Columns = {"member": Column(TEXT, "", "network that was drawn from the ensemble")}
+FLIGHT: Columns = {
+    "config_hash": Column(TEXT, "", "digest of its configuration"),
+    "outcome": Column(TEXT, "", "how it ended"),
+    "lost_time": Column(NUMBER, "s", "when it was lost"),
+    "lost_reason": Column(TEXT, "", "criterion of the loss"),
+    "error": Column(TEXT, "", "why it could not be flown"),
+} | {
+    column: Column(NUMBER, rust.figures()[name].unit if column == name else "deg", rust.figures()[name].meaning)
+    for column, name in SUMMARY.items()
+}
+FLIGHTS: Columns = {**PLACE, **DRAWN, **FLIGHT}
+"""The table of flights; the axes stand between their place and what was flown."""
+
+
+def _of_cells() -> Iterator[tuple[str, Column]]:
+    yield "cell", Column(COUNT, "1", "number of the cell")
+    yield "flights", Column(COUNT, "1", "flights that could be flown")
+    yield "errors", Column(COUNT, "1", "flights that could not be flown")
     for name, text in SHARES.items():
-        yield name, ("1", f"flights that {text}")
-        yield from (
-            (f"{name}_{end}", ("1", f"{end} end of the Wilson 95 % interval of their share")) for end in ("low", "high")
-        )
-    yield "unwarned", ("1", f"lost flights that were degraded for less than {table.LEAST_WARNING:g} s before")
-    for name, column in table.QUANTITIES.items():
-        unit, meaning = FLIGHTS[column]
-        for end, text in ENDS.items():
-            yield f"{name}_{end}", (unit, f"{text} of: {meaning}")
+        yield name, Column(COUNT, "1", f"flights that {text}")
+        for end in ("low", "high"):
+            yield f"{name}_{end}", Column(NUMBER, "1", f"{end} end of the Wilson 95 % interval of their share")
+    for outcome in OUTCOMES:
+        if outcome not in SHARES:
+            yield outcome, Column(COUNT, "1", f"flights with the outcome {outcome}")
+    unwarned = f"lost flights that were degraded for less than {LEAST_WARNING:g} s before"
+    yield "unwarned", Column(COUNT, "1", unwarned)
+    for name, column in QUANTITIES.items():
+        _, unit, meaning = FLIGHTS[column]
+        for end, share in QUANTILES.items():
+            text = {"median": "median", "worst": "greatest"}.get(end, f"{100.0 * share:g} % quantile")
+            yield f"{name}_{end}", Column(NUMBER, unit, f"{text} of: {meaning}")
 
 
 CELLS: Columns = dict(_of_cells())
 
 
-def describe(found: pa.Table, columns: Columns) -> pa.Table:
-    """Return a table whose columns have `unit` and `meaning` in their metadata; axes are described by sweep.json."""
-    fields = [
-        field.with_metadata(dict(zip(("unit", "meaning"), columns[field.name], strict=True)))
-        if field.name in columns
-        else field
-        for field in found.schema
-    ]
-    return found.cast(pa.schema(fields))
+def fields(columns: Columns) -> list[pa.Field]:
+    """Return the fields of a table, with `unit` and `meaning` in their metadata; `sweep.json` describes the axes."""
+    return [pa.field(name, of.type, metadata={"unit": of.unit, "meaning": of.meaning}) for name, of in columns.items()]
 
 
 def page() -> str:
@@ -74,5 +111,5 @@ def page() -> str:
     lines = ["# Columns of a sweep's tables", "", "Axes are columns too; their units are in `sweep.json`."]
     for file, columns in (("table.parquet", FLIGHTS), ("cells.parquet", CELLS)):
         lines += ["", f"## {file}", "", "| column | unit | meaning |", "|---|---|---|"]
-        lines += [f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in columns.items()]
+        lines += [f"| `{name}` | {of.unit} | {of.meaning} |" for name, of in columns.items()]
     return "\n".join([*lines, ""])

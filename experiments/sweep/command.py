@@ -1,8 +1,8 @@
 """Fly sweeps by name: grids, lists, Latin hypercubes and Sobol sequences of perturbed flights.
 
 A sweep goes to `results/sweeps/NAME/`, and its cells are printed if there are at most 100: how many flights ended how,
-and the medians of their largest errors. An interrupted one is resumed with the same result to the last byte; a finished
-one is only replaced with --overwrite.
+and their largest errors, with intervals. An interrupted one is resumed with the same result to the last byte; with more
+repeats a finished one is continued. It is only replaced with --overwrite.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from contextlib import redirect_stdout
 from pathlib import Path
 
 from experiments import cluster, study
-from experiments.sweep import paired, run, spec, table
+from experiments.sweep import listing, run, spec
 from experiments.sweep.design import Design
-from experiments.table import FORMATS
+from experiments.sweep.paired import differences
+from experiments.table import FORMATS, Rows
 from jax_aero.base import places
 from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import exit_status
@@ -36,7 +37,7 @@ def main(arguments: Sequence[str]) -> int:
 
     def work() -> None:
         ray = cluster.Ray.from_options(given)
-        for design in [Design(spec.load(name)) for name in names]:
+        for design in [Design(spec.load(name), study.find("sweeps", name)) for name in names]:
             notes = sys.stderr if given.table else sys.stdout
             with redirect_stdout(notes):
                 folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
@@ -48,13 +49,11 @@ def main(arguments: Sequence[str]) -> int:
     return exit_status(work, interrupted="the same command goes on with the next chunk")
 
 
-def _rows(folder: Path, design: Design, axis: str | None) -> list[list[str]]:
+def _rows(folder: Path, design: Design, axis: str | None) -> Rows:
     """Return the rows of the printed table: a cell each, or the differences between levels of an axis."""
     labels = {one.name: f"{one.label or one.name}{one.unit and f' [{one.unit}]'}" for one in design.spec.axes}
-    if axis is None:
-        return table.listing(read_table(folder / "cells.parquet"), labels)
-    flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
-    return paired.listing(paired.differences(flights, list(labels), axis), labels)
+    found = read_table(folder / ("table.parquet" if axis else "cells.parquet")).to_pandas(use_threads=False)
+    return listing.of_pairs(differences(found, list(labels), axis), labels) if axis else listing.of_cells(found, labels)
 
 
 def _parser() -> Parser:

@@ -5,14 +5,18 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from experiments import Refused, manifest
 from experiments.sources import file_hash
-from experiments.sweep import keys, table
+from experiments.sweep import columns, keys, table
 from experiments.sweep.perturbation import members
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust
@@ -25,9 +29,11 @@ class Design:
     """A sweep with its base flights: everything needed to fly any row."""
 
     spec: Spec
+    file: Path | None = None
+    """Its file, if it has one."""
 
     def __post_init__(self) -> None:
-        if taken := table.COLUMNS & {axis.name for axis in self.spec.axes}:
+        if taken := {*columns.FLIGHTS, *columns.CELLS} & {axis.name for axis in self.spec.axes}:
             raise Refused(f"sweep {self.spec.name}: axis `{min(taken)}` has the name of a column of its tables")
 
     @cached_property
@@ -59,14 +65,17 @@ class Design:
         """Return the number of flights."""
         return len(self.cells) * self.spec.repeats
 
-    @property
-    def n_chunks(self) -> int:
-        """Return the number of chunks."""
-        return -(-self.n_rows // self.spec.chunk)
+    def missing(self, flown: Iterable[range] = ()) -> list[range]:
+        """Return the rows beside those that are flown, in chunks."""
+        known = [row for rows in flown for row in rows]
+        left = np.setdiff1d(np.arange(self.n_rows), np.array(known, dtype=int))
+        cuts = np.flatnonzero((np.diff(left) > 1) | (left[1:] % self.spec.chunk == 0)) + 1
+        return [range(int(part[0]), int(part[-1]) + 1) for part in np.split(left, cuts) if len(part)]
 
-    def chunk(self, index: int) -> range:
-        """Return the row numbers of a chunk."""
-        return range(index * self.spec.chunk, min((index + 1) * self.spec.chunk, self.n_rows))
+    def place(self, row: int) -> tuple[int, int]:
+        """Return cell and repeat of a row; all cells have their first flight before any has its second."""
+        repeat, cell = divmod(row, len(self.cells))
+        return cell, repeat
 
     @cached_property
     def bases(self) -> dict[str, rust.Config]:
@@ -85,7 +94,7 @@ class Design:
 
     def row_config(self, row: int) -> rust.Config:
         """Return the configuration of a row: its cell's, perturbed by the random numbers of its repeat."""
-        cell, repeat = divmod(row, self.spec.repeats)
+        cell, repeat = self.place(row)
         config = self.cell_config(cell)
         self.perturb(config, repeat, {key for level in self.cells[cell] for key in level.set})
         return config
@@ -94,19 +103,26 @@ class Design:
         """Perturb a configuration in place by the draws of a repeat, but for the `chosen` keys of seeds."""
         self.spec.perturbation.apply(config, self.spec.seed, repeat, _robot(config["robot"]), chosen)
 
-    @cached_property
+    @property
     def digest(self) -> str:
         """Return a hash of everything except code that determines the result: every cell and every file named in it."""
+        return self.digest_of(self.spec.repeats)
+
+    def digest_of(self, repeats: int) -> str:
+        """Return the digest of this sweep with so many repeats."""
+        numbers = [self.spec.seed, repeats, self.spec.chunk, self.spec.engine]
+        return hashlib.sha256(json.dumps(self._hashed | {"numbers": numbers}, sort_keys=True).encode()).hexdigest()
+
+    @cached_property
+    def _hashed(self) -> dict[str, Any]:
         ensemble = self.spec.perturbation.ensemble
-        what = {
+        return {
             "axes": [axis.name for axis in self.spec.axes],
             "labels": [[level.label for level in levels] for levels in self.cells],
             "cells": [table.config_hash(self.cell_config(cell)) for cell in range(len(self.cells))],
             "networks": [[card.name, file_hash(card)] for card in members(ensemble)] if ensemble else [],
             "perturbation": manifest.make_portable(plain.to_builtins(self.spec.perturbation)),
-            "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
         }
-        return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
     def check(self) -> None:
         """Refuse, before the first flight, a sweep with duplicate cells or with cells that cannot be flown."""

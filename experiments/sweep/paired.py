@@ -6,20 +6,16 @@ other axes are equal too.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments import Refused
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import bootstrap, newcombe
 from jax_aero.base.result import UPRIGHT
 
-RESAMPLES = 2000
-"""Resamples of the bootstrap, which are the same in every call."""
 COLUMNS = {
     "share": "completed or landed [percentage points], Newcombe 95 %",
     "rotation": "max rotation error, median [deg], bootstrap 95 %",
@@ -51,63 +47,10 @@ def differences(flights: pd.DataFrame, axes: list[str], axis: str) -> pd.DataFra
 
 def _difference(pairs: pd.DataFrame) -> Iterator[tuple[str, Any]]:
     before, after = (pairs[name].isin(UPRIGHT).to_numpy() for name in ("outcome", "outcome_2"))
-    yield "pairs", len(pairs)
-    yield from _named("share", tuple(100.0 * x for x in newcombe(after, before)))
+    found = {"share": [100.0 * x for x in newcombe(after, before)]}
     for name, figure, factor in (("rotation", "max_rotation_error_deg", 1.0), ("com", "max_com_error", 100.0)):
         change = factor * (pairs[f"{figure}_2"] - pairs[figure]).to_numpy()[before & after]
-        yield from _named(name, bootstrap(change[np.isfinite(change)]))
-
-
-def listing(found: pd.DataFrame, labels: Mapping[str, str]) -> list[list[str]]:
-    """Return differences as texts, headings first."""
-    heads = [name for name in found if name in labels or name == "pairs"]
-    rows = [
-        [
-            *(f"{row[name]:g}" if isinstance(row[name], float) else str(row[name]) for name in heads),
-            *("" if np.isnan(row[name]) else _interval(*(row[f"{name}{end}"] for end in ENDS)) for name in COLUMNS),
-        ]
-        for row in found.to_dict("records")
-    ]
-    return [[*(labels.get(name, name) for name in heads), *COLUMNS.values()], *rows]
-
-
-ENDS = ("", "_low", "_high")
-
-
-def _interval(value: float, low: float, high: float) -> str:
-    return f"{value:+.3g} ({low:+.3g} to {high:+.3g})"
-
-
-def _named(name: str, ends: tuple[float, ...]) -> Iterator[tuple[str, float]]:
-    yield from zip((f"{name}{end}" for end in ENDS), ends, strict=True)
-
-
-def newcombe(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> tuple[float, float, float]:
-    """Return the difference of two shares of paired trials, and its 95 % interval.
-
-    Source: Newcombe, Improved confidence intervals for the difference between binomial proportions based on paired
-    data, 1998, method 10: Wilson's limits of each share, and the correlation φ of the pairs.
-    """
-    n = len(first)
-    if n == 0:
-        return math.nan, math.nan, math.nan
-    p, q = float(first.mean()), float(second.mean())
-    (p_low, p_high), (q_low, q_high) = (wilson(int(x.sum()), n) for x in (first, second))
-    a, d, b, c = (int(x.sum()) for x in (first & second, ~first & ~second, first & ~second, ~first & second))
-    product = a * d - b * c
-    root = math.sqrt((a + b) * (c + d) * (a + c) * (b + d))
-    phi = 0.0 if root == 0.0 else (max(product - n / 2.0, 0.0) if product > 0 else product) / root
-
-    def reach(x: float, y: float) -> float:
-        return math.sqrt(max(x * x - 2.0 * phi * x * y + y * y, 0.0))
-
-    return p - q, p - q - reach(p - p_low, q_high - q), p - q + reach(p_high - p, q - q_low)
-
-
-def bootstrap(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the median of values, and the 95 % percentile interval of its bootstrap."""
-    if len(values) == 0:
-        return math.nan, math.nan, math.nan
-    chosen = np.random.default_rng(0).integers(len(values), size=(RESAMPLES, len(values)))
-    low, high = np.quantile(np.median(values[chosen], axis=1), [0.025, 0.975])
-    return float(np.median(values)), float(low), float(high)
+        found[name] = list(bootstrap(change[np.isfinite(change)]))
+    yield "pairs", len(pairs)
+    for name, interval in found.items():
+        yield from zip((name, f"{name}_low", f"{name}_high"), interval, strict=True)

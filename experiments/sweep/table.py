@@ -9,8 +9,7 @@ import copy
 import hashlib
 import json
 import math
-import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -19,25 +18,18 @@ import pyarrow as pa
 
 from experiments.backends import Failure
 from experiments.sources import file_hash
+from experiments.sweep import columns
+from experiments.sweep.intervals import wilson
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust
 from jax_aero.base.keys import get, set_key
-from jax_aero.base.result import LOST, UPRIGHT, FlightResult, Outcome
+from jax_aero.base.result import LOST, UPRIGHT, FlightResult
 
 Cells: TypeAlias = Sequence[tuple[Level, ...]]
 """The levels of all axes, for each cell of a sweep."""
 
-SUMMARY = {
-    f"{name}_deg" if figure.unit == "rad" else name: name
-    for name, figure in rust.figures().items()
-    if not figure.is_of_ground
-}
-"""Figures of merit of a flight that are stored in the tables, by column; angles are in degrees there."""
-
 OF_GUARD = ("degraded_time", "nominal_until", "all_modes", "warning_time")
 """Those of what the guard finds, which flights of JAX do not have: its guard finds nothing."""
-
-OUTCOMES: tuple[str, ...] = typing.get_args(Outcome)
 
 ON_COURSE_ROTATION = 15.0
 ON_COURSE_COM = 0.25
@@ -47,44 +39,18 @@ A flight that ends within its start-up has no position error and does not count.
 """
 
 
-PLACE = [("row", pa.int64()), ("cell", pa.int64()), ("repeat", pa.int64())]
-DRAWN = ("member", pa.string())
-"""Column of the network that was drawn from an ensemble."""
-FLIGHT = [
-    ("config_hash", pa.string()),
-    ("outcome", pa.string()),
-    ("lost_time", pa.float64()),
-    ("lost_reason", pa.string()),
-    ("error", pa.string()),
-    *((name, pa.float64()) for name in SUMMARY),
-]
-"""Columns of the table of flights, before and after those of the axes."""
-
-QUANTITIES = {
-    "rotation_error_deg": "max_rotation_error_deg",
-    "com_error": "max_com_error",
-    "joint_error_sum_deg": "max_joint_error_sum_deg",
-    **{name: name for name in ("thrust_max", "thrust_min", "lost_time", "nominal_until", "warning_time")},
-    "time_above_45_deg": "time_above_45_deg",
-}
-"""Columns of the table of cells, and of that of flights."""
-
-LEAST_WARNING = 0.3
-"""Time before the loss from which on a flight has to be degraded, so that it is not lost unwarned [s]."""
-
-QUANTILES = {"low": 0.1, "median": 0.5, "high": 0.9, "worst": 1.0}
-
-
 def schema(spec: Spec, levels: Cells) -> pa.Schema:
     """Return the columns of the table of flights."""
-    drawn = [DRAWN] if spec.perturbation.ensemble else []
-    return pa.schema([*PLACE, *_axis_columns(spec, levels), *drawn, *FLIGHT])
+    drawn = columns.DRAWN if spec.perturbation.ensemble else {}
+    axes = _axes(spec, levels)
+    return pa.schema([*columns.fields(columns.PLACE), *axes, *columns.fields({**drawn, **columns.FLIGHT})])
 
 
-def _axis_columns(spec: Spec, levels: Cells) -> Iterator[tuple[str, pa.DataType]]:
-    for column, axis in enumerate(spec.axes):
-        numeric = all(isinstance(cell[column].label, float) for cell in levels)
-        yield axis.name, pa.float64() if numeric else pa.string()
+def _axes(spec: Spec, levels: Cells) -> list[pa.Field]:
+    numeric = (all(isinstance(cell[place].label, float) for cell in levels) for place in range(len(spec.axes)))
+    return [
+        pa.field(axis.name, pa.float64() if of else pa.string()) for axis, of in zip(spec.axes, numeric, strict=True)
+    ]
 
 
 def rows(
@@ -97,7 +63,7 @@ def rows(
     """Return flights as rows."""
     records = []
     for index, config, flown in zip(indices, configs, flights, strict=True):
-        cell, repeat = divmod(index, spec.repeats)
+        repeat, cell = divmod(index, len(levels))
         labels = [level.label for level in levels[cell]]
         record: dict[str, Any] = {"row": index, "cell": cell, "repeat": repeat}
         record |= {axis.name: label for axis, label in zip(spec.axes, labels, strict=True)}
@@ -116,23 +82,19 @@ def rows(
 
 def in_columns(summary: Mapping[str, float]) -> dict[str, float]:
     """Return the figures of merit of a flight as the columns have them."""
-    known = {column: summary[name] for column, name in SUMMARY.items() if name in summary}
+    known = {column: summary[name] for column, name in columns.SUMMARY.items() if name in summary}
     return {column: value if column in rust.figures() else math.degrees(value) for column, value in known.items()}
 
 
 def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
     """Return the table of cells: counts with their intervals, and quantiles of the errors."""
-    records = []
+    records, flights = [], {name: table[name].to_numpy() for name in table.column_names}
     for cell, chosen in enumerate(levels):
         record: dict[str, Any] = {"cell": cell}
         record |= {axis.name: level.label for axis, level in zip(spec.axes, chosen, strict=True)}
-        # Rows are in order, with the repeats of a cell together.
-        mine = table.slice(cell * spec.repeats, spec.repeats)
-        records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
-    axis_columns = dict(_axis_columns(spec, levels))
-    whole = ("cell", "flights", "errors", "upright", "on_course", "degraded", "unwarned", *OUTCOMES)
-    fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
-    return pa.Table.from_pylist(records, pa.schema(fields))
+        records.append(record | _cell({name: values[cell :: len(levels)] for name, values in flights.items()}))
+    first, *others = columns.fields(columns.CELLS)
+    return pa.Table.from_pylist(records, pa.schema([first, *_axes(spec, levels), *others]))
 
 
 def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
@@ -141,14 +103,14 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     errors = int((flights["outcome"] == "error").sum())
     trials, found = len(flights["outcome"]) - errors, counts(flights)
     record: dict[str, Any] = {"flights": trials, "errors": errors}
-    for name in ("completed", "upright", "on_course", "degraded"):
+    for name in columns.SHARES:
         low, high = wilson(found[name], trials)
         record |= {name: found[name], f"{name}_low": low, f"{name}_high": high}
-    record |= {name: found[name] for name in (*OUTCOMES, "unwarned")}
+    record |= {name: found[name] for name in (*columns.OUTCOMES, "unwarned")}
     if trials and np.isnan(flights["degraded_time"]).all():
         record |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
-    for name, column in QUANTITIES.items():
-        for end, share in QUANTILES.items():
+    for name, column in columns.QUANTITIES.items():
+        for end, share in columns.QUANTILES.items():
             record[f"{name}_{end}"] = quantile(flights[column].astype(float), share)
     return record
 
@@ -159,11 +121,11 @@ def counts(flights: Mapping[str, Any]) -> dict[str, int]:
     near = (flights["max_rotation_error_deg"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
     lost = np.isin(outcome, LOST)
     which = {
-        **{name: outcome == name for name in OUTCOMES},
+        **{name: outcome == name for name in columns.OUTCOMES},
         "upright": np.isin(outcome, UPRIGHT),
         "on_course": (outcome == "completed") & near,
         "lost": lost,
-        "unwarned": lost & (flights["warning_time"] < LEAST_WARNING),
+        "unwarned": lost & (flights["warning_time"] < columns.LEAST_WARNING),
         "degraded": flights["degraded_time"] > 0.0,
     }
     return {name: int(rows.sum()) for name, rows in which.items()}
@@ -175,30 +137,6 @@ def quantile(values: Any, share: float) -> float | None:
     return float(np.quantile(known, share)) if len(known) else None
 
 
-def listing(cells: pa.Table, labels: Mapping[str, str]) -> list[list[str]]:
-    """Return levels of axes with these labels, outcomes and median errors of the cells, headings first."""
-    columns = {**labels} | {name: name.replace("_", " ") for name in ("flights", *OUTCOMES)}
-    columns |= {"rotation_error_deg_median": "median rotation error [deg]", "com_error_median": "median CoM error [m]"}
-    rows = [[_text(row[name]) for name in columns] for row in cells.select(list(columns)).to_pylist()]
-    return [list(columns.values()), *rows]
-
-
-def _text(value: object) -> str:
-    return "?" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % score interval of a share; (0, 1) without trials."""
-    if trials == 0:
-        return 0.0, 1.0
-    z = 1.959963984540054
-    share, spread = successes / trials, z * z / trials
-    centre = (share + spread / 2.0) / (1.0 + spread)
-    half = z / (1.0 + spread) * math.sqrt(share * (1.0 - share) / trials + spread / (4.0 * trials))
-    # If all or none succeed, one end is exactly 1 or 0, which rounding would miss.
-    return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
-
-
 def config_hash(config: Mapping[str, Any]) -> str:
     """Return a short hash of a configuration, with files instead of their paths; equal on every machine.
 
@@ -208,7 +146,3 @@ def config_hash(config: Mapping[str, Any]) -> str:
     for key in rust.path_keys(hashed):
         set_key(hashed, key, file_hash(Path(get(hashed, key))))
     return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()[:16]
-
-
-COLUMNS = {name for name, _ in (*PLACE, DRAWN, *FLIGHT)} | set(_cell({name: np.zeros(0) for name, _ in FLIGHT}))
-"""Names that are not allowed for axes."""

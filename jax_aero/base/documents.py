@@ -87,6 +87,9 @@ class SweepUnderWay(msgspec.Struct):
 
     config_digest: str
     code_hash: str
+    repeats: int
+    file: str | None = None
+    """Path of the sweep's file from the folder of the result."""
     finished: _Files | msgspec.UnsetType = msgspec.UNSET
 
 

@@ -65,7 +65,7 @@ def digest(tasks):
         )
 
     design = Design(tasks)
-    flown = [rounded(design.row_config(row)) for row in range(design.n_rows)]
+    flown = [rounded(design.row_config(row)) for row in sorted(range(design.n_rows), key=design.place)]
     hashes = [table.config_hash({key: config[key] for key in config.keys() - OF_CONTROLLER}) for config in flown]
     return hashlib.sha256(" ".join(hashes).encode()).hexdigest()[:16]
 
@@ -88,7 +88,7 @@ def test_what_is_drawn_and_what_acts_is_not_given(tasks, robot):
     design, of_engines = Design(whole), {}
     flying = rust.Robot(design.row_config(0)["robot"])
     for cell in range(len(design.cells)):
-        given = [own.view(design.row_config(cell * 3 + repeat), flying) for repeat in range(3)]
+        given = [own.view(design.row_config(repeat * len(design.cells) + cell), flying) for repeat in range(3)]
         assert given[1:] == given[:-1]
         given[0]["simulator"].pop("duration")
         assert of_engines.setdefault(given[0]["simulator"]["jets"]["dynamics"], given[0]) == given[0]

@@ -16,7 +16,7 @@ from experiments.report.measures.standing import Ground, measure
 from experiments.report.results import Sweep
 from experiments.sweep import spec
 from experiments.sweep.criteria import Criterion, Share
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import wilson
 from jax_aero.base import places
 from jax_aero.base.terminal import ConfigError
 from paper_figs.tunnel import FINEST, OMEGA

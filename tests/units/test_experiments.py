@@ -242,7 +242,7 @@ def test_the_table_says_when_and_why_a_flight_fell():
     }
     table = outcome_table([fallen])
     assert "fell at 16.3 s (rotation error above 90 deg)" in table
-    assert "0.500" in table
+    assert "50.0" in table
     assert "1.0 to ?" in table
     down = fallen | {
         "outcome": "descended",

@@ -28,16 +28,8 @@ def test_every_figure_is_drawn_as_pdf_and_png_and_names_its_runs(name, made_up_r
 
 
 def test_the_runs_of_a_figure_can_be_chosen(made_up_results, tmp_path):
-    arguments = [
-        "fig5",
-        "--runs",
-        "test2",
-        "test1_published",
-        "--results",
-        str(made_up_results),
-        "--out",
-        str(tmp_path),
-    ]
+    arguments = ["fig5", "--runs", "test2", "test1_published"]
+    arguments += ["--results", str(made_up_results), "--out", str(tmp_path)]
     assert main(arguments) == 0
     # What is called fig5 shows the runs of Fig. 5: a report takes it for that.
     assert {path.stem for path in tmp_path.iterdir()} == {"fig5--test2_test1_published"}

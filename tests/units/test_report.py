@@ -46,7 +46,7 @@ from experiments.report.results import Results, Sweep
 from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import wilson
 from jax_aero import rust
 from jax_aero.base import places, plain, tables
 from jax_aero.base.places import ROBOT
@@ -228,9 +228,10 @@ def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
 def test_what_differs_of_a_sweep_is_named():
     shipped = spec.load("paper_tests")
     document = run.describe(shipped) | {"config_digest": "0" * 64}
-    assert outdated.sweep("paper_tests", document) == "the flights of its cells, or a file that they name"
-    assert outdated.sweep("paper_tests", document | {"repeats": 7, "seed": 9}) == "`repeats`, `seed`"
-    assert outdated.sweep("paper_tests", run.identity_of(Design(shipped)).facts) == ""
+    folder = places.RESULTS / "sweeps" / "paper_tests"
+    assert outdated.sweep(folder, document) == "the flights of its cells, or a file that they name"
+    assert outdated.sweep(folder, document | {"repeats": 7, "seed": 9}) == "`repeats`, `seed`"
+    assert outdated.sweep(folder, run.identity_of(Design(shipped)).facts) == ""
 
 
 def test_a_study_of_another_flight_or_file_is_outdated():

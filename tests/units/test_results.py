@@ -173,21 +173,23 @@ def damages(whole: bytes, other: bytes) -> dict[str, bytes]:
 @pytest.mark.parametrize("damage", damages(bytes(50), b""))
 def test_a_damaged_chunk_does_not_count(tmp_path, damage):
     chunks = Chunks(tmp_path, "sweep code")
-    for chunk in range(3):
-        chunks.write(chunk, TABLE)
-    assert chunks.find_whole(3) == {0, 1, 2}
-    assert chunks.read(1) == TABLE
-    damaged = damages(*(chunks.path(chunk).read_bytes() for chunk in (1, 2)))
-    chunks.path(1).write_bytes(damaged[damage])
-    assert chunks.find_whole(3) == {0, 2}
+    first, second, third = parts = [range(4), range(4, 8), range(8, 9)]
+    for rows in parts:
+        chunks.write(rows, TABLE)
+    assert chunks.find_whole(9) == parts
+    assert chunks.find_whole(8) == [first, second]
+    assert chunks.read(second) == TABLE
+    damaged = damages(*(chunks.path(rows).read_bytes() for rows in (second, third)))
+    chunks.path(second).write_bytes(damaged[damage])
+    assert chunks.find_whole(9) == [first, third]
     with pytest.raises(Refused, match="the same command flies it again"):
-        chunks.read(1)
-    assert chunks.remove(but={0, 2}) == ["000001.chunk"]
+        chunks.read(second)
+    assert chunks.remove(but=[first, third]) == ["0000004-0000008.chunk"]
 
 
 def test_a_chunk_of_another_sweep_or_code_does_not_count(tmp_path):
-    Chunks(tmp_path, "sweep code").write(0, TABLE)
-    assert Chunks(tmp_path, "other code").find_whole(1) == set()
+    Chunks(tmp_path, "sweep code").write(range(1), TABLE)
+    assert Chunks(tmp_path, "other code").find_whole(1) == []
 
 
 def test_a_sweep_flies_damaged_chunks_again_and_ends_with_the_same_bytes(tmp_path, capsys, stopped_sweep):
@@ -197,7 +199,7 @@ def test_a_sweep_flies_damaged_chunks_again_and_ends_with_the_same_bytes(tmp_pat
     first.write_bytes(second.read_bytes())
     (first.parent / "notes.txt").write_text("mine")
     folder = run.run(design(), workers=1, out=tmp_path)
-    assert "000000.chunk: damaged, or no chunk of this sweep; flown again" in capsys.readouterr().err
+    assert "0000000-0000001.chunk: damaged, or no chunk of this sweep; flown again" in capsys.readouterr().err
     assert all((folder / name).read_bytes() == (whole / name).read_bytes() for name in run.TABLES)
     assert (first.parent / "notes.txt").read_text() == "mine"
 
@@ -354,7 +356,7 @@ def test_what_cannot_be_written_is_one_line_and_leaves_nothing_half(flown, tmp_p
 
     with longest_file(500), pytest.raises(OSError, match=r"File too large: '\S+sweep\.json'"):
         run.run(design(), workers=1, out=tmp_path)
-    with longest_file(5_000), pytest.raises(OSError, match=r"File too large: '\S+000000\.chunk'"):
+    with longest_file(5_000), pytest.raises(OSError, match=r"File too large: '\S+0000000-0000001\.chunk'"):
         run.run(design(), workers=1, out=tmp_path)
     assert list((tmp_path / "made_up" / "chunks").iterdir()) == []
     run.run(design(), workers=1, out=tmp_path)

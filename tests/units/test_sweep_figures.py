@@ -2,7 +2,7 @@
 
 import itertools
 import json
-import tomllib
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from experiments.identity import Identity
-from jax_aero.base import places
+from jax_aero.base.documents import Drawing
 from jax_aero.base.result import LOST
 from paper_figs import ablation, front, maps, pairs
 from paper_figs.ablation import _is_geometric
@@ -40,7 +40,7 @@ def write(folder, name, drawing, axes, panels="world"):
         record |= {"descended": index % 4, "off_course": index % 2, "fell": index % 3}
         record |= dict.fromkeys(("descending", "crashed", "diverged", "unwarned"), 0)
         for quantity in ("rotation_error_deg", "com_error"):
-            record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("low", "median", "high"))}
+            record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("p10", "median", "p90"))}
             record[f"{quantity}_worst"] = None if index == 1 else 3.0 * index
         cells.append(record)
     rng = np.random.default_rng(1)
@@ -63,18 +63,22 @@ def write(folder, name, drawing, axes, panels="world"):
     (path / "sweep.json").write_text(json.dumps(document))
 
 
+def draw(folder, *words, name="made_up"):
+    """The exit status of drawing a sweep of `folder/sweeps` into the folder."""
+    return main([name, "--sweeps", str(folder / "sweeps"), "--out", str(folder), *words])
+
+
 def test_a_sweep_of_other_code_is_refused_or_drawn_and_marked(tmp_path, capsys):
     write(tmp_path / "sweeps", "made_up", "levels", ["terms"], "")
     path = tmp_path / "sweeps" / "made_up" / "sweep.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"code_hash": "0"}))
-    words = ["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]
-    assert main(words) == 1
+    assert draw(tmp_path) == 1
     assert "made of another configuration or code than today's: made_up (other code)" in capsys.readouterr().err
-    assert main([*words, "--stale"]) == 0
+    assert draw(tmp_path, "--stale") == 0
     marked = (tmp_path / "made_up.png").read_bytes()
-    write(tmp_path / "today", "made_up", "levels", ["terms"], "")
-    assert main(["made_up", "--sweeps", str(tmp_path / "today"), "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "made_up.png").read_bytes() != marked
+    write(tmp_path / "today" / "sweeps", "made_up", "levels", ["terms"], "")
+    assert draw(tmp_path / "today") == 0
+    assert (tmp_path / "today" / "made_up.png").read_bytes() != marked
 
 
 @pytest.mark.parametrize(
@@ -94,7 +98,7 @@ def test_a_sweep_of_other_code_is_refused_or_drawn_and_marked(tmp_path, capsys):
 )
 def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axes, panels, tmp_path):
     write(tmp_path / "sweeps", "made_up", drawing, axes, panels)
-    assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 0
+    assert draw(tmp_path) == 0
     assert (tmp_path / "made_up.pdf").read_bytes().startswith(b"%PDF")
     with Image.open(tmp_path / "made_up.png") as picture:
         assert picture.width > 1000
@@ -118,7 +122,7 @@ def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axe
 )
 def test_a_drawing_that_does_not_suit_the_axes_is_one_line(drawing, axes, panels, expected, tmp_path, capsys):
     write(tmp_path / "sweeps", "made_up", drawing, axes, panels)
-    assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 1
+    assert draw(tmp_path) == 1
     assert f'error: made_up: `drawing` is "{drawing}" of the axes {", ".join(axes)}' in (
         said := capsys.readouterr().err
     )
@@ -130,10 +134,9 @@ def test_paired_differences_are_drawn_for_an_axis_of_levels(tmp_path, capsys):
     path = tmp_path / "sweeps/made_up/table.parquet"
     flights = pd.read_parquet(path)
     flights.assign(world=np.tile(["side", "ahead"], 20), repeat=np.repeat(np.arange(20), 2)).to_parquet(path)
-    words = ["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path), "--paired"]
-    assert main([*words, "world"]) == 0
+    assert draw(tmp_path, "--paired", "world") == 0
     assert (tmp_path / "made_up--paired_world.png").is_file()
-    assert main([*words, "wind"]) == 1
+    assert draw(tmp_path, "--paired", "wind") == 1
     assert "--paired is wind; expected an axis with two levels or more, of world" in capsys.readouterr().err
 
 
@@ -141,7 +144,7 @@ def test_a_damaged_sweep_is_one_line(tmp_path, capsys):
     write(tmp_path / "sweeps", "made_up", "curve", ["scale"], "")
     path = tmp_path / "sweeps" / "made_up" / "cells.parquet"
     path.write_bytes(path.read_bytes()[:-9])
-    assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 1
+    assert draw(tmp_path) == 1
     assert "cells.parquet is damaged (" in capsys.readouterr().err
 
 
@@ -151,12 +154,12 @@ def test_a_dollar_in_a_sweeps_texts_is_one(drawing, panels, tmp_path, monkeypatc
     monkeypatch.setitem(AXES, "price", price)
     axes = ["price", "scale", "speed"] if drawing == "map" else ["terms", "price"]
     write(tmp_path / "sweeps", r"$\x$", drawing, axes, panels)
-    assert main([r"$\x$", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 0
+    assert draw(tmp_path, name=r"$\x$") == 0
 
 
 def test_a_sweep_that_a_figure_hides_is_named(tmp_path, capsys):
     write(tmp_path / "sweeps", "fig3", "levels", ["terms"], "")
-    assert main(["fig3", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 1
+    assert draw(tmp_path, name="fig3") == 1
     said = capsys.readouterr()
     assert "fig3.png" in said.out
     assert said.err == "error: the sweep fig3 is not drawn, since a figure has its name; give it another\n"
@@ -194,34 +197,22 @@ def test_the_same_results_give_the_same_bytes(tmp_path):
     write(tmp_path / "sweeps", "made_up", "curve", ["world", "scale"])
     pictures = []
     for _ in range(2):
-        assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 0
+        assert draw(tmp_path) == 0
         pictures.append([(tmp_path / f"made_up.{kind}").read_bytes() for kind in ("pdf", "png")])
     assert pictures[0] == pictures[1]
 
 
 def test_all_draws_what_there_is_and_counts_what_is_missing(tmp_path, capsys):
     write(tmp_path / "sweeps", SWEEPS[0], "levels", ["world", "terms"])
-    arguments = [
-        "all",
-        "--stale",
-        "--sweeps",
-        str(tmp_path / "sweeps"),
-        "--results",
-        str(tmp_path),
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    assert main(arguments) == 0
+    assert draw(tmp_path, "--stale", "--results", str(tmp_path), name="all") == 0
     said = capsys.readouterr()
     assert f"{SWEEPS[0]}.png" in said.out
     assert "error:" not in said.err
     assert "figures were not drawn" in said.err
 
 
-@pytest.mark.parametrize("name", places.names("sweeps"))
-def test_every_sweep_of_the_repository_is_a_figure(name):
-    assert name in SWEEPS
-    assert tomllib.loads(places.find("sweeps", name).read_text(encoding="utf-8")).get("drawing", "curve") in DRAWINGS
+def test_every_drawing_of_a_file_is_known():
+    assert DRAWINGS.keys() == {*get_args(Drawing)}
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from experiments.report.findings import Judged, judge
 from experiments.report.results import Cell, Results, Sweep
 from experiments.sweep.criteria import Criterion
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import wilson
 from jax_aero.base import places, tables
 
 UNITS = {"rotation_error_deg": "°", "com_error": " m", "joint_error_sum_deg": "°"}

@@ -23,7 +23,7 @@ from experiments.studies.design import campaign, robots, sensitivity
 from experiments.studies.design.campaign import AGAIN, FIGURES, FLIGHTS, Job, Row
 from experiments.studies.design.robots import RANGES, Array
 from experiments.study import Findings, Study
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import wilson
 from jax_aero import rust
 from jax_aero.base import places, plain, run_file, tables
 

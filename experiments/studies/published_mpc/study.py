@@ -20,8 +20,8 @@ from experiments.progress import Progress
 from experiments.studies.published_mpc import plan
 from experiments.studies.published_mpc.flight import Published, Settings
 from experiments.study import Findings, Study
+from experiments.sweep.intervals import wilson
 from experiments.sweep.perturbation import Perturbation
-from experiments.sweep.table import wilson
 from experiments.wind_direction import wind_from
 from jax_aero import rust
 from jax_aero.base import places, plain, tables

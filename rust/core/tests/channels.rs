@@ -153,15 +153,6 @@ fn a_prediction_without_meaning_is_no_limit() {
     assert!(used.robot.state.velocity[6].is_nan(), "{}", used.robot.state.velocity[6]);
 }
 
-/// A number without meaning is none, not the greatest one that is accepted.
-#[test]
-fn a_prediction_without_meaning_is_no_limit() {
-    let mut rig = Rig::new(&ChannelsConfig::default());
-    rig.state.acceleration[6] = f64::NAN;
-    let used = rig.tick(|sample| sample.state.velocity.fill(f64::NAN));
-    assert!(used.state.velocity[6].is_nan(), "{}", used.state.velocity[6]);
-}
-
 /// Without any measurement joints and base move by the step of M78, thrusts by M31, each by hand.
 #[test]
 fn what_is_missing_is_predicted() {
