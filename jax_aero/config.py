@@ -233,10 +233,13 @@ class ObserverConfig(Struct, frozen=True, kw_only=True):
 class PolicyConfig(Struct, frozen=True, kw_only=True):
     card: str
 
+Fallback: TypeAlias = Literal["hold", "clarabel"]
+
 Solver: TypeAlias = Literal["active_set", "clarabel"]
 
 
 class QpConfig(Struct, frozen=True, kw_only=True):
+    fallback: Fallback = "hold"
     solver: Solver = "active_set"
 
 
@@ -384,11 +387,17 @@ class JetFailure(Struct, frozen=True, kw_only=True):
     time: float
 
 
+class MeasurementNoise(Struct, frozen=True, kw_only=True):
+    seed: int = 0
+    std: float
+
+
 class JetFaultsConfig(Struct, frozen=True, kw_only=True):
     failure: JetFailure | None = None
     force_scale: dict[str, float] = {}
     lag: float = 0.0
     limit_is_known: bool = False
+    measurement_noise: MeasurementNoise | None = None
     thrust_limit_scale: float | None = None
 
 JointFaultKind: TypeAlias = Literal["stuck", "weak", "free"]

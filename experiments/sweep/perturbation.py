@@ -21,6 +21,7 @@ from jax_aero.rust import Robot
 CHANCE = {
     "wind": ("time_scale",),
     "disturbances.wind_estimate": (),
+    "disturbances.jets.measurement_noise": (),
     "simulator.sensors": (),
     "simulator.actuation": (),
 }

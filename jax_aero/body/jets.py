@@ -82,8 +82,12 @@ class JetDynamics(Protocol):
         state: JetsState,
         command: Float[Array, " j"],
         dt: Float[Array, ""] | float,
+        measured: Float[Array, " j"] | None = None,
     ) -> JetsState:
-        """Advance every jet by `dt` [s] under constant commanded thrust rates [N/s]."""
+        """Advance every jet by `dt` [s] under constant commanded thrust rates [N/s].
+
+        Estimators use the thrust `measured` [N], or the true one if it is not given.
+        """
         ...
 
 
@@ -107,6 +111,7 @@ class IdealJets:
         state: JetsState,
         command: Float[Array, " j"],
         dt: Float[Array, ""] | float,
+        measured: Float[Array, " j"] | None = None,  # noqa: ARG002 - there is no estimator
     ) -> JetsState:
         """Return the state after `T ← max(T_min, T + Ṫ* dt)`."""
         return JetsState(*_not_below(self.thrust_min, state.thrust + dt * command, command))
@@ -155,10 +160,12 @@ class SecondOrderJets:
         state: JetsState,
         command: Float[Array, " j"],
         dt: Float[Array, ""] | float,
+        measured: Float[Array, " j"] | None = None,
     ) -> JetsState:
         """Advance throttles from the present estimate, then estimators and engines, by `dt` [s]."""
         throttle = _throttle_loop(self, state.engine, command)
-        estimate, covariance = update_ekf(self, state.engine, state.thrust, throttle, dt)
+        seen = state.thrust if measured is None else measured
+        estimate, covariance = update_ekf(self, state.engine, seen, throttle, dt)
         # T̈ at the start of the step, as in the published simulator.
         acceleration = thrust_acceleration(self.engines, state.thrust, state.thrust_rate, throttle)
         thrust = state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration)

@@ -1,6 +1,6 @@
-"""Faults of jets: slow response, reduced thrust, a dead jet.
+"""Faults of jets: slow response, reduced thrust, a dead jet, a noisy sensor.
 
-    thrust rate command ──delayed──► jets ──limited──► thrust
+    thrust rate command ──delayed──► jets ──limited──► thrust        thrust ──measured──► estimators
 
 They surround any jet dynamics. Faults are numbers, not structure, so flights with different faults share one
 compilation. That a jet's force differs from its thrust is `Plant.force_scale`.
@@ -14,12 +14,15 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from jax_aero import rust
 from jax_aero.body.jets import JetDynamics, JetsState
 from jax_aero.body.robot import RobotModel
-from jax_aero.config import JetFaultsConfig
+from jax_aero.config import IdealJetsConfig, JetFaultsConfig, JetsConfig
 from jax_aero.types import Array, leaf, pytree
+
+MEASUREMENT_STREAM = 1
 
 
 class FaultState(NamedTuple):
@@ -33,6 +36,8 @@ class FaultState(NamedTuple):
     """Time until the failure [s]; negative after it."""
     held: Float[Array, ""]
     """Thrust of the failing jet at its failure [N]."""
+    tick: Int[Array, ""]
+    """Number of steps taken."""
 
 
 @pytree
@@ -53,11 +58,14 @@ class FaultyJets:
     """Time of the failure [s]."""
     decay: Float[Array, ""]
     """Time constant of the decay [s]."""
+    sensor_noise: Float[Array, "ticks j"] | None
+    """Noise on the thrust measured for estimators [N]; `None` without estimators."""
 
     def start(self, thrust: Float[Array, " j"]) -> JetsState:
         """Return the state at `thrust` [N] with thrust rate zero."""
         state, rest = self.jets.start(thrust), jnp.zeros_like(thrust)
-        return state._replace(engine=FaultState(state.engine, rest, jnp.asarray(self.failure_time), rest[0]))
+        left, tick = jnp.asarray(self.failure_time), jnp.array(0, jnp.int32)
+        return state._replace(engine=FaultState(state.engine, rest, left, rest[0], tick))
 
     def feedback(self, state: JetsState) -> Float[Array, " j"]:
         """Return the thrust that the flight controller receives [N]."""
@@ -68,30 +76,39 @@ class FaultyJets:
         state: JetsState,
         command: Float[Array, " j"],
         dt: Float[Array, ""] | float,
+        measured: Float[Array, " j"] | None = None,
     ) -> JetsState:
         """Advance every jet by `dt` [s] under constant commanded thrust rates [N/s]."""
         faults: FaultState = state.engine
         arriving = delay_rates(self, faults, command, dt)
-        jets = self.jets.advance(state._replace(engine=faults.engine), arriving, dt)
+        seen = measure_thrust(self, faults, state.thrust if measured is None else measured)
+        jets = self.jets.advance(state._replace(engine=faults.engine), arriving, dt, seen)
         thrust, thrust_rate, faults = limit_thrust(self, faults, jets.thrust, jets.thrust_rate, dt)
         return JetsState(thrust, thrust_rate, faults._replace(engine=jets.engine, command=arriving))
 
 
-def faulty_jets(jets: JetDynamics, settings: JetFaultsConfig, robot: RobotModel) -> FaultyJets:
-    """Return jets with faults.
+def faulty_jets(
+    jets: JetDynamics, settings: JetFaultsConfig, dynamics: JetsConfig, robot: RobotModel, n_ticks: int
+) -> FaultyJets:
+    """Return jets with the faults of a flight of `n_ticks` ticks.
 
     Raises
     ------
     ValueError
-        For a jet that the robot does not have.
+        For a jet that the robot does not have, and for measurement noise without an estimator that uses it.
     """
     names, failure = robot.jets.names, settings.failure
     if failure is not None and failure.jet not in names:
         raise ValueError(f"disturbances.jets.failure.jet is `{failure.jet}`; {robot.name} has {', '.join(names)}")
     for name in settings.force_scale.keys() - set(names):
         raise ValueError(f"disturbances.jets.force_scale has `{name}`; {robot.name} has {', '.join(names)}")
+    if settings.measurement_noise is not None and isinstance(dynamics, IdealJetsConfig):
+        raise ValueError("disturbances.jets.measurement_noise disturbs estimators; jets of dynamics `ideal` have none")
     thrust_max, zero = jnp.asarray(robot.jets.thrust_max), jnp.zeros(())
     scale = settings.thrust_limit_scale
+    drawn: Array | None = None
+    if not isinstance(dynamics, IdealJetsConfig):
+        drawn = _sensor_noise(settings, n_ticks, len(names))
     return FaultyJets(
         jets=jets,
         lag=leaf(settings.lag),
@@ -100,7 +117,17 @@ def faulty_jets(jets: JetDynamics, settings: JetFaultsConfig, robot: RobotModel)
         is_stuck=jnp.array(failure is not None and failure.kind == "stuck"),
         failure_time=zero if failure is None else leaf(failure.time),
         decay=zero if failure is None else leaf(failure.decay),
+        sensor_noise=drawn,
     )
+
+
+def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
+    """Return the noise (ticks, jets) [N], drawn once per tick for each jet in order."""
+    found = settings.measurement_noise
+    if found is None:
+        return jnp.zeros((n_ticks + 1, jets))
+    drawn = rust.normals(found.seed, MEASUREMENT_STREAM, (n_ticks + 1) * jets)
+    return jnp.asarray(found.std) * drawn.reshape(-1, jets)
 
 
 def delay_rates(
@@ -110,6 +137,13 @@ def delay_rates(
     has_lag = faults.lag > 0.0
     share = -jnp.expm1(-dt / jnp.where(has_lag, faults.lag, 1.0))
     return jnp.where(has_lag, state.command + (command - state.command) * share, command)
+
+
+def measure_thrust(faults: FaultyJets, state: FaultState, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
+    """Return the thrusts measured for the estimators [N]."""
+    if faults.sensor_noise is None:
+        return thrust
+    return thrust + faults.sensor_noise[jnp.minimum(state.tick, faults.sensor_noise.shape[0] - 1)]
 
 
 def limit_thrust(
@@ -137,5 +171,5 @@ def limit_thrust(
     failed_thrust = jnp.where(faults.is_stuck, held, fading)
     failed_rate = jnp.where(faults.is_stuck, 0.0, -fading / tau)
     is_dead = faults.fails & has_failed
-    after = state._replace(left=left, held=held)
+    after = state._replace(left=left, held=held, tick=state.tick + 1)
     return jnp.where(is_dead, failed_thrust, thrust), jnp.where(is_dead, failed_rate, rate), after

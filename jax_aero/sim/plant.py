@@ -168,7 +168,7 @@ def start_plant(
     jets = jet_dynamics(config.jets, robot) if jets is None else jets
     force_scale = None
     if disturbances.jets != JetFaultsConfig():
-        jets = faulty_jets(jets, disturbances.jets, robot)
+        jets = faulty_jets(jets, disturbances.jets, config.jets, robot, n_ticks(config))
         force_scale = leaf([disturbances.jets.force_scale.get(name, 1.0) for name in robot.jets.names])
     plant = Plant(
         robot=robot,

@@ -13,6 +13,7 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.control import Controller
 from jax_aero.sim.disturbance import Moment
 from jax_aero.sim.disturbances import Disturbances
+from jax_aero.sim.jet_faults import FaultyJets
 from jax_aero.sim.outcome import FallLimits
 from jax_aero.sim.plant import Plant
 from jax_aero.sim.wind import Wind
@@ -62,6 +63,8 @@ class Scenario:
     def computed_from(self) -> tuple[str, ...]:
         """Return the length for which noise is drawn, and the wind whose mean is used."""
         names = [name for _, disturbance in self.disturbances.each() for name in disturbance.depends_on]
+        if isinstance(self.plant.jets, FaultyJets) and self.plant.jets.sensor_noise is not None:
+            names.append("n_ticks")
         is_other = {"measured_wind": "wind" if self.controller_wind is None else "controller_wind"}
         return tuple(is_other.get(name, name) for name in names)
 

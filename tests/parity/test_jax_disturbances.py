@@ -31,6 +31,7 @@ CASES = {
         "disturbances.wind_estimate": {"bias": [0.4, 0.2, -0.3], "noise_std": 0.6, "delay": 0.13, "time_constant": 0.2},
         "controller.aero_feedback.momentum_rate": "moment",
         "disturbances.jets.failure": {"jet": "chest_l_jet", "time": 3.4, "kind": "off", "decay": 0.4},
+        "disturbances.jets.measurement_noise": {"std": 2.0, "seed": 3},
         "disturbances.jets.lag": 0.05,
     },
     "the mean alone, a jet that is stuck": {

@@ -73,8 +73,7 @@ def test_both_environments_are_one_task(x64, tmp_path):
     mission rises and turns from the first tick on.
     """
     (tmp_path / "own.toml").write_text(
-        f'base = "{EXPERIMENTS}/second_order_jets.toml"\nsimulator.jets.feedback = "estimated"\n'
-        "controller.estimator.joint_velocity.time_constant = 0.1\n"
+        f'base = "{EXPERIMENTS}/sensor_noise.toml"\ncontroller.estimator.joint_velocity.time_constant = 0.1\n'
         "mission = { up = [[0.0, 1.0]], yaw_left = [[0.0, 1.0]] }\n"
     )
     task = Task(str(tmp_path / "own.toml"), tracking=True, duration=1.0, ramp=0.05)

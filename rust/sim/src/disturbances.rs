@@ -8,7 +8,7 @@ mod outages;
 mod pushes;
 mod wind_estimate;
 
-pub use jet_faults::{FailureKind, JetFailure, JetFaults, JetFaultsConfig};
+pub use jet_faults::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
 pub use joint_faults::{JointFault, JointFaultKind, JointFaults};
 pub use model_error::ModelError;
 pub use outages::{Outage, OutageChannel, OutageKind, Outages};

@@ -200,8 +200,16 @@ impl Jets {
     /// Returns these jets with faults.
     ///
     /// # Errors
-    /// As [`JetFaultsConfig::check`].
+    /// As [`JetFaultsConfig::check`]; also measurement noise without an estimator that uses the measurement.
     pub fn with_faults(mut self, config: &JetFaultsConfig, jets: &[Jet]) -> Result<Self, BuildError> {
+        if config.measurement_noise.is_some() && !matches!(self.dynamics, Dynamics::SecondOrder { .. }) {
+            let of = if matches!(self.dynamics, Dynamics::Ideal) { "ideal" } else { "measured" };
+            return Err(BuildError::bad_value(
+                "simulator.jets.dynamics",
+                of,
+                "second_order, whose estimators disturbances.jets.measurement_noise disturbs",
+            ));
+        }
         self.faults = JetFaults::new(config, jets)?;
         Ok(self)
     }
@@ -234,7 +242,7 @@ impl Jets {
                     let (known, rate) = jet.known();
                     let throttle = jet.controller.update(jet.engine.model(), known, rate, command);
                     if let Some(ekf) = &mut jet.ekf {
-                        ekf.update(jet.engine.thrust, throttle, dt);
+                        ekf.update(self.faults.sensor.measure_thrust(jet.engine.thrust), throttle, dt);
                     }
                     jet.engine.step(throttle, dt);
                     *thrust = jet.engine.thrust;

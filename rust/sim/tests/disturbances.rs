@@ -8,8 +8,8 @@ use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
 use flight_io::from_value;
 use flight_sim::disturbances::{
-    Disturbances, FailureKind, JetFailure, JetFaults, JetFaultsConfig, ModelError, Outage, OutageChannel,
-    OutageKind, WindEstimateConfig, WindEstimator,
+    Disturbances, FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, Outage,
+    OutageChannel, OutageKind, WindEstimateConfig, WindEstimator,
 };
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
 use flight_sim::noise::Noise;
@@ -263,6 +263,32 @@ fn a_lag_delays_the_thrust_by_its_time_constant() {
     let behind = sound[300][0] - late[300][0];
     // ∫ of the first-order response: late by τ, and half a step as each step acts at its beginning.
     assert_within!((behind - 10.0 * (0.2 - 0.5 * STEP)).abs(), 0.02, "{behind}");
+}
+
+#[test]
+fn measurement_noise_enters_the_estimate_alone() {
+    let noisy = |seed| JetFaultsConfig {
+        measurement_noise: Some(MeasurementNoise { std: 2.0, seed }),
+        ..JetFaultsConfig::default()
+    };
+    let estimated = JetsConfig::SecondOrder(SecondOrderConfig {
+        feedback: flight_sim::jets::ThrustFeedback::Estimated,
+        ..SecondOrderConfig::default()
+    });
+    let feedback = |seed| {
+        let mut jets = jets(&estimated, &noisy(seed));
+        for _ in 0..100 {
+            jets.advance(&[0.0; 4], STEP);
+        }
+        jets.thrust_feedback().to_vec()
+    };
+    assert_eq!(feedback(1), feedback(1));
+    assert_ne!(feedback(1), feedback(2));
+
+    let robot = robot("ironcub_mk1");
+    let ideal = Jets::new(&JetsConfig::Ideal {}, &robot.jets, &robot.engines, &THRUST).unwrap();
+    let message = ideal.with_faults(&noisy(1), &robot.jets).unwrap_err().to_string();
+    assert!(message.contains("measurement_noise") && message.contains("ideal"), "{message}");
 }
 
 #[test]

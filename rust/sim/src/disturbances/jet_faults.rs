@@ -4,6 +4,7 @@
 //!
 //! Equation M41 of `docs/model`.
 
+use crate::noise::Noise;
 use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::Jet;
 use flight_core::schema::{self, NonNegative};
@@ -11,6 +12,9 @@ use flight_core::timing::share;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// Stream of the measurement noise.
+const MEASUREMENT_STREAM: u64 = 1;
 
 /// Faults of the jets; none by default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -29,6 +33,9 @@ pub struct JetFaultsConfig {
     /// Time constant of a first-order lag of the commanded thrust rate \[s\]; zero for none.
     #[schemars(range(min = 0))]
     pub lag: f64,
+    /// Noise of the measured thrust, which only the estimators of second-order jets use.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub measurement_noise: Option<MeasurementNoise>,
     /// Ratio of the force that a jet exerts to its thrust, by name; it is 1 for jets that are not named.
     #[schemars(with = "BTreeMap<String, NonNegative>")]
     pub force_scale: BTreeMap<String, f64>,
@@ -59,6 +66,18 @@ pub enum FailureKind {
     Off,
     /// The thrust stays constant.
     Stuck,
+}
+
+/// White noise of measured thrusts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeasurementNoise {
+    /// Standard deviation \[N\].
+    #[schemars(range(min = 0))]
+    pub std: f64,
+    /// Seed.
+    #[serde(default)]
+    pub seed: u64,
 }
 
 impl JetFaultsConfig {
@@ -109,7 +128,9 @@ fn index_of(key: &str, name: &str, jets: &[Jet]) -> Result<usize, BuildError> {
 #[derive(Debug, Clone)]
 pub struct JetFaults {
     /// Lag between the command and the jets.
-    pub(crate) response: Response,
+    pub response: Response,
+    /// Noise between the jets and their estimators.
+    pub sensor: Sensor,
     /// Least and greatest thrust of each jet \[N\]; infinite without a limit.
     limits: Vec<(f64, f64)>,
     /// Ratio of each jet's force to its thrust.
@@ -119,19 +140,33 @@ pub struct JetFaults {
 
 /// A lag of the thrust rate.
 #[derive(Debug, Clone)]
-pub(crate) struct Response {
+pub struct Response {
     lag: f64,
     command: Vec<f64>,
 }
 
 impl Response {
     /// Thrust rates \[N/s\] that reach the jets if `command` is commanded for the next `dt` \[s\].
-    pub(crate) fn delay_rates(&mut self, command: &[f64], dt: f64) -> &[f64] {
+    pub fn delay_rates(&mut self, command: &[f64], dt: f64) -> &[f64] {
         for (delayed, command) in self.command.iter_mut().zip(command) {
             let share = share(dt / self.lag);
             *delayed = if share < 1.0 { *delayed + (command - *delayed) * share } else { *command };
         }
         &self.command[..command.len().min(self.command.len())]
+    }
+}
+
+/// A thrust sensor with white noise.
+#[derive(Debug, Clone)]
+pub struct Sensor {
+    std: f64,
+    noise: Noise,
+}
+
+impl Sensor {
+    /// Measured value of a thrust \[N\].
+    pub fn measure_thrust(&mut self, thrust: f64) -> f64 {
+        if self.std > 0.0 { thrust + self.std * self.noise.normal() } else { thrust }
     }
 }
 
@@ -163,8 +198,10 @@ impl JetFaults {
             })
         };
         let limit_scale = config.thrust_limit_scale.unwrap_or(f64::INFINITY);
+        let (std, seed) = config.measurement_noise.as_ref().map_or((0.0, 0), |noise| (noise.std, noise.seed));
         Ok(Self {
             response: Response { lag: config.lag, command: vec![0.0; jets.len()] },
+            sensor: Sensor { std, noise: Noise::new(seed, MEASUREMENT_STREAM) },
             limits: jets.iter().map(|jet| (jet.thrust_min, jet.thrust_max * limit_scale)).collect(),
             force_scale: jets
                 .iter()
