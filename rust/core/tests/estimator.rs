@@ -73,7 +73,7 @@ impl Estimating {
     fn update(&mut self, state: &RobotState, thrust: &[f64]) -> Measurement {
         let mut innovation = vec![0.0; thrust.len()];
         let mut rates = innovation.clone();
-        let next = self.state.next();
+        let next = self.state.next_measurement();
         (next.state, next.thrust) = (state.clone(), thrust.to_vec());
         self.estimator.update(&mut self.state, self.elapsed, &mut innovation, &mut rates).clone()
     }

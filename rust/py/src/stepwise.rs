@@ -220,7 +220,8 @@ impl Flight {
     /// Wrench that a residual's policy observes (6) [N, N m].
     fn residual_wrench<'py>(&self, py: Python<'py>) -> PyResult<Output<'py>> {
         let state = self.flight.controller_state();
-        let wrench = state.map_or_else(Vector6::zeros, |state| state.residual_wrench());
+        let wrench =
+            state.map_or_else(Vector6::zeros, flight_core::control::ControllerState::residual_wrench);
         vector(py, wrench.as_slice())
     }
 

@@ -349,7 +349,7 @@ impl Estimator {
             && state.then.robot.thrust.len() == robot.jets.len()
     }
 
-    /// Returns the estimate at the present time from the measurement in [`EstimatorState::next`]. Does not allocate.
+    /// Returns the estimate at the present time from the measurement in [`EstimatorState::next_measurement`]. Does not allocate.
     ///
     /// The first measurement starts the flight: its plausible numbers also stand for the time before it. Implausible
     /// numbers correct nothing; the model's prediction replaces them. An estimate that is not finite restarts from the
@@ -389,7 +389,9 @@ impl Estimator {
         // Duration of the step that leads to `then`.
         let step = if begun { given(oldest + 1).duration } else { *time_step };
         if let (0, Some((now, others))) = (*ticks, line.split_first_mut()) {
-            others.iter_mut().for_each(|measured| measured.copy_from(now));
+            for measured in others {
+                measured.copy_from(now);
+            }
             take_over(&mut then.robot, now);
             gaps.fill([0; 4]);
             *gap = [0; 4];
@@ -442,7 +444,7 @@ impl Estimator {
 
 impl EstimatorState {
     /// Where the measurement of the next update is written; numbers that are not finite are not measured.
-    pub fn next(&mut self) -> &mut Measurement {
+    pub fn next_measurement(&mut self) -> &mut Measurement {
         let length = self.line.len();
         &mut self.line[self.ticks % length]
     }

@@ -61,7 +61,7 @@ const VELOCITY_GAIN: f64 = 100.0;
 pub struct Channels {
     config: ChannelsConfig,
     time_step: f64,
-    channels: Vec<Channel>,
+    parts: Vec<Channel>,
     jets: Vec<JetModel>,
     engines: Vec<EngineModel>,
     /// Greatest accepted magnitude of each number, and difference from its prediction.
@@ -113,7 +113,7 @@ impl Channels {
         Self {
             config: config.clone(),
             time_step,
-            channels: channels
+            parts: channels
                 .chain([
                     Channel::Joints,
                     Channel::LinearVelocity,
@@ -157,7 +157,7 @@ impl Channels {
     /// Whether a state has the sizes of these channels.
     #[must_use]
     pub fn fit_state(&self, state: &ChannelsState) -> bool {
-        self.fit(&state.last) && state.records.len() == self.channels.len()
+        self.fit(&state.last) && state.records.len() == self.parts.len()
     }
 
     /// The state before the first tick, and what is known of the robot then.
@@ -189,7 +189,7 @@ impl Channels {
         if !now.is_measured(Channel::Wind) {
             now.wind.fill(0.0); // not measured: still air until it is
         }
-        for channel in &self.channels {
+        for channel in &self.parts {
             for (run, numbers) in now.numbers(*channel).into_iter().enumerate() {
                 if let Some(value) = numbers.iter().find(|number| !number.is_finite()) {
                     return bad(channel.name(run), *value, "a finite number");
@@ -203,13 +203,13 @@ impl Channels {
             self.check_ranges(now)?;
         }
         // Where wind, thrusts or foot wrenches cannot be accepted: none, until they are.
-        for channel in self.channels.iter().filter(|channel| !channel.is_vital()) {
+        for channel in self.parts.iter().filter(|channel| !channel.is_vital()) {
             if !self.is_within(now, *channel) {
                 now.numbers_mut(*channel).into_iter().for_each(|numbers| numbers.fill(0.0));
             }
         }
         let state = ChannelsState {
-            records: vec![Record::default(); self.channels.len()],
+            records: vec![Record::default(); self.parts.len()],
             last: now.clone(),
             predicted: now.clone(),
             jet_rate: DVector::zeros(jets),
@@ -221,7 +221,7 @@ impl Channels {
 
     /// Whether joints and base are where a flight can begin.
     fn check_ranges(&self, now: &Measurement) -> Result<(), BadStart> {
-        for channel in self.channels.iter().filter(|channel| channel.is_vital()) {
+        for channel in self.parts.iter().filter(|channel| channel.is_vital()) {
             let runs = now.numbers(*channel).into_iter().zip(self.greatest.numbers(*channel));
             for (run, (numbers, greatest)) in runs.enumerate() {
                 if let Some((value, _)) = numbers.iter().zip(greatest).find(|(x, most)| x.abs() > **most) {
@@ -263,14 +263,14 @@ impl Channels {
             self.read(measurement, used);
             used.robot.wind = wind;
         } else {
-            self.channels.iter().for_each(|channel| used.robot.remove(*channel));
+            self.parts.iter().for_each(|channel| used.robot.remove(*channel));
             used.is_of_speed.fill(false);
         }
         used.robot.time = time;
         let (was_begun, dt) = (state.is_begun, used.elapsed);
         if was_begun {
             state.predict(acting, &self.jets, dt);
-            for channel in &self.channels {
+            for channel in &self.parts {
                 for (numbers, most) in
                     state.predicted.numbers_mut(*channel).into_iter().zip(self.greatest.numbers(*channel))
                 {
@@ -287,7 +287,7 @@ impl Channels {
         // Changes during a pause are not jumps, and the first measurement has no predecessor.
         let missed_ticks = if was_begun { used.pause / self.time_step } else { f64::INFINITY };
         let mut is_pose_new = is_step;
-        for (place, channel) in self.channels.iter().enumerate() {
+        for (place, channel) in self.parts.iter().enumerate() {
             let is_new = self.accept(state, place, dt, missed_ticks, used);
             *is_descending |= channel.is_vital() && state.records[place].age > self.config.descend_after;
             match channel {
@@ -305,7 +305,7 @@ impl Channels {
             used.modes.insert(Modes::DESCENDING);
         }
         let is_measured = (is_step || !was_begun) && !used.modes.intersects(Modes::WITHOUT_MOMENTUM);
-        let is_wrong = self.channels.iter().zip(&state.records).any(|(channel, record)| {
+        let is_wrong = self.parts.iter().zip(&state.records).any(|(channel, record)| {
             record.age > 0.0 && !record.is_missing && Modes::WITHOUT_MOMENTUM.contains(channel.mode())
         });
         used.gap = match is_measured {
@@ -344,7 +344,7 @@ impl Channels {
 
     /// Whether they are in their range, and near their prediction.
     fn is_sound(&self, state: &ChannelsState, now: &Measurement, place: usize, missed_ticks: f64) -> bool {
-        let (record, channel) = (&state.records[place], self.channels[place]);
+        let (record, channel) = (&state.records[place], self.parts[place]);
         let width = if record.support > 1 { 1.0 } else { CONFIRMATION };
         let gate = width + WIDENING * record.age + missed_ticks;
         self.is_plausible(now, channel) && self.is_near(now, channel, &state.predicted, gate)
@@ -360,11 +360,11 @@ impl Channels {
         missed_ticks: f64,
         used: &mut Estimate,
     ) -> bool {
-        let (kind, now, modes) = (self.channels[place], &used.robot, &mut used.modes);
+        let (kind, now, modes) = (self.parts[place], &used.robot, &mut used.modes);
         // What contradicts one velocity of the base contradicts both.
         let is_contradicted = kind.is_velocity()
             && self.velocities().into_iter().filter(|other| *other != place).any(|other| {
-                now.is_measured(self.channels[other]) && !self.is_sound(state, now, other, missed_ticks)
+                now.is_measured(self.parts[other]) && !self.is_sound(state, now, other, missed_ticks)
             });
         let is_sound = self.is_sound(state, now, place, missed_ticks) && !is_contradicted;
         let is_same = state.is_begun && now.numbers(kind) == state.last.numbers(kind);
@@ -441,7 +441,7 @@ impl Channels {
 
     /// Replaces the numbers that were not accepted by predictions; a held wind fades.
     fn fill_predicted(&self, state: &ChannelsState, used: &mut Estimate) {
-        for (channel, record) in self.channels.iter().zip(&state.records) {
+        for (channel, record) in self.parts.iter().zip(&state.records) {
             if record.age == 0.0 {
                 continue;
             }
@@ -477,7 +477,7 @@ impl Channels {
     /// follows the pose.
     pub fn select_accepted(&self, state: &ChannelsState, used: &Estimate, to: &mut Measurement) {
         to.copy_from(&used.robot);
-        for (channel, record) in self.channels.iter().zip(&state.records) {
+        for (channel, record) in self.parts.iter().zip(&state.records) {
             if record.age > 0.0 && !(channel.is_velocity() && record.follows_pose()) {
                 to.remove(*channel);
             }
@@ -488,7 +488,7 @@ impl Channels {
     #[must_use]
     pub fn accept_estimate(&self, estimate: &Measurement) -> bool {
         let of_sensors = |channel: &&Channel| !matches!(channel, Channel::Wind | Channel::Feet);
-        self.channels.iter().filter(of_sensors).all(|channel| self.is_within(estimate, *channel))
+        self.parts.iter().filter(of_sensors).all(|channel| self.is_within(estimate, *channel))
     }
 
     /// Reads a measurement; where the speed of a shaft is measured, the thrust is that of it (M176). Joint velocities that

@@ -23,7 +23,7 @@ impl Controller {
             if estimate.pause > 0.0 || estimate.modes.contains(Modes::BEGUN_AGAIN) {
                 of_estimator.restart();
             }
-            channels.select_accepted(memory, estimate, of_estimator.next());
+            channels.select_accepted(memory, estimate, of_estimator.next_measurement());
             let (innovation, rate) = (&mut estimate.thrust_innovation, &mut estimate.thrust_rate);
             let found = estimator.update(of_estimator, estimate.elapsed, innovation, rate);
             if channels.accept_estimate(found) {
