@@ -582,14 +582,14 @@ fn a_replaced_command_continues_from_a_restored_state() {
     let (plant, tick) = (flight.plant.clone(), flight.tick);
     let mut another = Loop::new(&config);
     another.observe(&Vector3::zeros());
-    let [continued, restored] = [flight, another].map(|mut flight| {
+    let next = |flight: &mut Loop| {
         (flight.plant, flight.tick) = (plant.clone(), tick);
         let Running { controller, state: kept } = &mut flight.controller;
         controller.replace_command(kept.insert(state.clone()), thrust_rate.as_slice(), &torque).unwrap();
         flight.observe(&wind());
         (numbers(flight.controller.command()), flight.controller.state().clone())
-    });
-    assert_eq!(continued, restored);
+    };
+    assert_eq!(next(&mut flight), next(&mut another));
 }
 
 /// A state that was recorded, restored after other ticks and in another controller: every number of the ticks that follow
