@@ -233,13 +233,10 @@ class ObserverConfig(Struct, frozen=True, kw_only=True):
 class PolicyConfig(Struct, frozen=True, kw_only=True):
     card: str
 
-Fallback: TypeAlias = Literal["hold", "clarabel"]
-
 Solver: TypeAlias = Literal["active_set", "clarabel"]
 
 
 class QpConfig(Struct, frozen=True, kw_only=True):
-    fallback: Fallback = "hold"
     solver: Solver = "active_set"
 
 
