@@ -78,15 +78,18 @@ def _compute(given: argparse.Namespace) -> None:
     joints = posture(robot, given.posture)
     tables = [(name, points(name, given.posture, alphas, betas)) for name in given.beside]
     with jax.enable_x64(True):
+        models = {name: air.settings(name) for name in given.model}
         found = {
-            name: loads(robot, aero_model(air.settings(name), robot), joints, alphas, betas, given.speed)
-            for name in given.model
+            name: loads(robot, aero_model(model, robot), joints, alphas, betas, given.speed)
+            for name, model in models.items()
         }
-    rows = list(_rows(robot, found, alphas, betas, given.speed))
+    # Without aerodynamics there is no density, and every area is zero.
+    pressures = [0.5 * getattr(model, "air_density", 1.0) * given.speed**2 for model in models.values()]
+    rows = list(_rows(robot, found, alphas, betas, pressures))
     print(_listing(rows))
-    models = "_".join(Path(name).stem for name in given.model)
+    stems = "_".join(Path(name).stem for name in given.model)
     wind = f"alpha={given.alpha}--beta={given.beta}--speed={given.speed:g}".replace(":", "_")
-    name = given.named or f"{robot.name}--{models}--{given.posture}--{wind}"
+    name = given.named or f"{robot.name}--{stems}--{given.posture}--{wind}"
     out = given.out or places.RESULTS / "air"
     with complete_file(out / f"{name}.csv") as draft, draft.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, ["model", "link", "alpha_deg", "beta_deg", *COLUMNS])
@@ -202,11 +205,10 @@ def points(table: str, name: str, alphas: Floats, betas: Floats) -> list[dict[st
 
 
 def _rows(
-    robot: RobotModel, found: Mapping[str, Loads], alphas: Floats, betas: Floats, speed: float
+    robot: RobotModel, found: Mapping[str, Loads], alphas: Floats, betas: Floats, pressures: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
-    pressure = 0.5 * air.AIR_DENSITY * speed**2
     grid = np.broadcast_arrays(alphas, betas)
-    for model, load in found.items():
+    for (model, load), pressure in zip(found.items(), pressures, strict=True):
         links = [ROBOT, *robot.aero_links.names]
         forces = np.concatenate([load.forces.sum(axis=1, keepdims=True), load.forces], axis=1)
         moments = np.concatenate([load.moments.sum(axis=1, keepdims=True), load.moments], axis=1)

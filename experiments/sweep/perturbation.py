@@ -174,6 +174,10 @@ class Perturbation(tables.Table, frozen=True):
                 actuation[name] = step * round(max(actuation.get(name, 0.0) + late, 0.0) / step)
         if self.friction:
             drawn = np.abs(around("friction", [0.0] * len(robot.joint_names))).tolist()
+            if "motors" not in simulator:
+                raise ConfigError.of(
+                    "perturbation.friction", self.friction, "0, as the flight has no `simulator.motors`"
+                )
             simulator["motors"]["friction_of"] = dict(zip(robot.joint_names, drawn, strict=True))
 
     def _reshape(self, config: dict[str, Any], around: Any, links: Sequence[str]) -> None:

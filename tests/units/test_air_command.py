@@ -35,6 +35,18 @@ def test_the_files_hold_every_link_and_their_sum(tmp_path, capsys):
     assert str(written.name) in capsys.readouterr().out
 
 
+def test_areas_do_not_depend_on_the_density_of_a_models_air(tmp_path):
+    thin = tmp_path / "thin.toml"
+    thin.write_text('model = "axisymmetric"\ncoefficients = "corrected"\nair_density = 0.9\n')
+    assert cli.main(["air", "--model", "axisymmetric_corrected", str(thin), "off", "--out", str(tmp_path)]) == 0
+    (written,) = tmp_path.glob("*.csv")
+    with written.open(encoding="utf-8") as file:
+        dense, rare, off = (row for row in csv.DictReader(file) if row["link"] == command.ROBOT)
+    assert float(rare["drag_n"]) == pytest.approx(0.9 / air.AIR_DENSITY * float(dense["drag_n"]), rel=1e-5)
+    assert float(rare["cda_m2"]) == pytest.approx(float(dense["cda_m2"]), rel=1e-5)
+    assert float(off["cda_m2"]) == 0.0
+
+
 def test_the_loads_are_those_of_the_crate_turned_into_the_tunnel(x64):
     """Upright, the wind blows along base x and lift is up along base z; side forces follow the yaw."""
     robot = load_robot(places.find("robot", "ironcub_mk1"))

@@ -399,6 +399,12 @@ def test_a_perturbation_adds_to_the_errors_of_a_level():
     assert both["mass_scale"] == pytest.approx(0.9 * drawn["mass_scale"])
 
 
+def test_friction_of_drives_that_a_flight_does_not_have_is_refused():
+    made = design(perturbation={"base": str(places.CONFIGS / "perturbation/unknown_robot.toml")})
+    with pytest.raises(Refused, match=r"`perturbation.friction` is 2.0; expected 0, as .* no `simulator.motors`"):
+        made.check()
+
+
 def test_a_perturbation_that_is_switched_on_leaves_the_others_as_they_were():
     alone, both = (
         design(perturbation=sizes).row_config(0)["simulator"]["initial"]["joint_position"]

@@ -24,6 +24,7 @@ from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, li
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.jets import predict_thrust
 from jax_aero.body.kinematics import generalised_thrust, kinematics, move
+from jax_aero.body.linalg import solve_positive_definite
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import cross, exp_so3, log_so3, multiply, project_to_so3
 from jax_aero.config import EstimatorConfig, LatencyConfig
@@ -241,7 +242,7 @@ def advance(
     # The unmodelled wrench moves the robot as a whole, since its point of action is unknown. Unexplained joint
     # accelerations are internal and do not change the momentum.
     wrench = order.unmodelled - dyn.momentum_matrix[:, 6:] @ disturbance
-    angular = jnp.linalg.solve(dyn.centroidal_inertia, wrench[3:])
+    angular = solve_positive_definite(dyn.centroidal_inertia, wrench[3:, None])[:, 0]
     linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
     whole = jnp.concatenate([linear, angular, disturbance])
     velocity = state.velocity + step * (forward_dynamics(dyn, force) + whole)

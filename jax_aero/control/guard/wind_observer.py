@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
+from jax_aero.body.linalg import solve_positive_definite
 from jax_aero.body.robot import RobotModel
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains, ObserverState
@@ -126,7 +127,7 @@ def update(
     together = jnp.maximum(1.0 / (GAIN * step), 1.0)
     error = jnp.diag(together * jnp.array(FORCE_NOISE, wind.dtype) ** 2)
     innovation = jacobian @ covariance @ jacobian.T + error
-    gain = jnp.linalg.solve(innovation, jacobian @ covariance).T
+    gain = solve_positive_definite(innovation, jacobian @ covariance).T
     moved = wind + gain @ (force - modelled[:3])
     left = jnp.eye(3, dtype=wind.dtype) - gain @ jacobian
     # Joseph form, which keeps the covariance symmetric and positive under rounding.
