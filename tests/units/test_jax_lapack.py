@@ -5,7 +5,9 @@ The programs are made for a CPU but not compiled, so nothing can hang here; see 
 
 from __future__ import annotations
 
+import dataclasses
 import re
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +15,10 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
+from jax_aero.aero.network_card import load_network
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.linalg import CHUNK, invert, solve_positive_definite
+from jax_aero.body.robot import load_robot
 from jax_aero.control import qp
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -46,11 +50,54 @@ def test_ours_goes_in_pieces():
     ) == {CHUNK}
 
 
-def test_a_tick_of_many_flights():
+EVERYTHING = {
+    "second_order_jets": {
+        "disturbances.jets.force_scale": {"l_arm_jet": 0.9},
+        "disturbances.controller_wind": {"profile": "constant", "velocity": [0.0, -8.0, 0.0]},
+    },
+    "test2_sensors_mpc": {
+        "controller.wind_observer": {},
+        "controller.torque.rotor_inertia": 0.05,
+        "simulator.actuation": {"torque_delay": 0.01},
+        "simulator.sensors.wind_preview": 0.8,
+        "disturbances.model_error.mass_scale": 1.1,
+        "disturbances.pushes": [{"body": "chest", "force": [1.0, 0.0, 0.0], "start": 0.0, "duration": 1.0}],
+    },
+    "test1_policy": {},
+    "robustness": {"disturbances.wind_estimate": {"bias": [1.0, 0.0, 0.0]}},
+}
+"""Flights that together have every part that JAX can fly, by experiment and changes."""
+
+
+@cache
+def shapes(experiment):
+    """A scenario and its state as shapes, which are enough: nothing is computed."""
+    config = scenario_config(rust.load_config(experiment, EVERYTHING[experiment]))
+    robot, card = load_robot(config.robot), getattr(config.simulator.aero, "card", None)
+    network = load_network(card, robot) if card else None
+    return jax.eval_shape(lambda: sim.prepare(config, read_network=lambda *_: network))
+
+
+def absent(tree):
+    """Names of the optional parts that a scenario lacks, and of those that it has."""
+    fields = [item.name for item in dataclasses.fields(tree)] if dataclasses.is_dataclass(tree) else []
+    for name in fields or getattr(tree, "_fields", ()):
+        part = getattr(tree, name)
+        yield f"{type(tree).__name__}.{name}", part is None
+        yield from absent(part)
+
+
+def test_the_flights_have_every_part():
+    lacking = [dict(absent(shapes(experiment)[0])) for experiment in EVERYTHING]
+    found = {name for each in lacking for name in each if all(other.get(name, True) for other in lacking)}
+    # The plan's model of the engines, without which JAX refuses to fly them.
+    assert found == {"Mpc.engines"}
+
+
+@pytest.mark.parametrize("experiment", EVERYTHING)
+def test_a_tick_of_many_flights(experiment):
     """The whole closed loop: controller, both QPs, plant, jets."""
-    config = scenario_config(rust.load_config("second_order_jets"))
-    # Shapes are enough: nothing is computed.
-    flight, state = jax.eval_shape(lambda: sim.prepare(config))
+    flight, state = shapes(experiment)
     states = jax.tree.map(lambda x: jax.ShapeDtypeStruct((BATCH, *x.shape), x.dtype), state)
 
     def tick(flight, states):
