@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -17,9 +18,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import rust
+from jax_aero.base import places
 
 KERNEL_TOLERANCE = 1e-10
 QP_TOLERANCE = 1e-8
+
+UNOPTIMISED = {"xla_backend_optimization_level": 0}
+"""Options for `jax.jit` of what runs for a moment: to compile it takes longer."""
 
 ROUNDINGS = 30.0
 """Factor by which two orders of computation may differ more than by one rounding of every input; 4 is usual."""
@@ -92,7 +97,16 @@ def differences(ours: ArrayLike, theirs: ArrayLike) -> NDArray[np.float64]:
 # --- samples and comparisons --------------------------------------------------------------------------------------
 
 
-def verify_robot(robot_path: str, n_states: int, backend: Any = "tree", seed: int = 0) -> list[Row]:
+def verify_robots(robot_path: str, n_states: int, backend: Any = "tree", seed: int = 0) -> list[Row]:
+    """Compare kinematics and dynamics of a robot, and of a small one that has joints of both kinds."""
+    slider = str(places.find("robot", "slider"))
+    both = {"dynamics": robot_path, "slider": slider}
+    return [row for group, path in both.items() for row in verify_robot(path, n_states, backend, seed, group)]
+
+
+def verify_robot(
+    robot_path: str, n_states: int, backend: Any = "tree", seed: int = 0, group: str = "dynamics"
+) -> list[Row]:
     """Compare kinematics and dynamics on random states of any robot."""
     import jax
     import jax.numpy as jnp
@@ -110,7 +124,7 @@ def verify_robot(robot_path: str, n_states: int, backend: Any = "tree", seed: in
         acceleration = rust.forward_dynamics(crate_robot, state, np.cos(np.asarray(state.velocity)))
         return vars(rust.dynamics(crate_robot, state)) | {"acceleration": acceleration}
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=UNOPTIMISED)
     @jax.vmap
     def evaluate(state: State) -> Any:
         kin = kinematics(robot, state)
@@ -125,7 +139,7 @@ def verify_robot(robot_path: str, n_states: int, backend: Any = "tree", seed: in
 
     def compare_all(name: str) -> Row:
         expected, rounded = ([tick[name] for tick in ticks] for ticks in (theirs, near))
-        return compare("dynamics", name, ours[name], expected, KERNEL_TOLERANCE, rounded=rounded)
+        return compare(group, name, ours[name], expected, KERNEL_TOLERANCE, rounded=rounded)
 
     return [compare_all(name) for name in ours]
 
@@ -189,7 +203,12 @@ def round_rotation(rng: np.random.Generator, rotation: ArrayLike) -> NDArray[np.
 
 
 def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list[Sample]:
-    """Return ticks unlike any flight: thrusts up to their limits, strong wind, distant set-points."""
+    """Return ticks unlike any flight: thrusts beyond their limits, strong wind, distant set-points and postures.
+
+    Some integrals are as large as they get.
+    """
+    from jax_aero.control.law.torques import INTEGRAL_LIMIT
+
     rng, robot = np.random.default_rng(seed), rust.Robot(config["robot"])
     n_joints, n_jets = len(robot.joint_names), len(robot.jet_names)
     samples = []
@@ -200,8 +219,11 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
         turning = [0.5 * vector for vector in vectors[4:7]]
         followed = rust.Setpoint(com, vectors[1], vectors[2], vectors[3], turned, *turning)
         inertia = np.diag(rng.uniform(0.5, 4.0, 3))
-        memory = (np.asarray(state.joint_position), inertia, 0.05 * rng.normal(size=n_joints))
-        thrust, wind = rng.uniform(10.0, 150.0, n_jets), rng.normal(scale=8.0, size=3)
+        posture = np.asarray(state.joint_position) + 0.2 * rng.normal(size=n_joints)
+        integral = 0.05 * rng.normal(size=n_joints)
+        integral[rng.random(n_joints) < 0.2] = rng.choice([-INTEGRAL_LIMIT, INTEGRAL_LIMIT])
+        memory = (posture, inertia, integral)
+        thrust, wind = rng.uniform(0.0, 1.1, n_jets) * robot.thrust_max, rng.normal(scale=8.0, size=3)
         samples.append(Sample(state, thrust, wind, followed, memory))
     return samples
 

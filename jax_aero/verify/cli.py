@@ -33,7 +33,7 @@ from jax_aero.base.files import complete_file, read_json, replace_infinite, writ
 from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.cli import Parser, complete_with, count
-from jax_aero.verify import Row, compared, random_samples, use_double_precision, verify_robot
+from jax_aero.verify import Row, compared, random_samples, use_double_precision, verify_robots
 
 NUMBERS = "verify.json"
 """File of a result with its subject and its numbers."""
@@ -51,6 +51,7 @@ def _compare(options: argparse.Namespace) -> int:
     from jax_aero.sim.preparation import read_config, refuse
     from jax_aero.verify.flight import verify_flight
     from jax_aero.verify.law import verify_law
+    from jax_aero.verify.reach import unreached
     from jax_aero.verify.ticks import verify_ticks
 
     config = None if options.robot else use_double_precision(_config(options))
@@ -60,22 +61,29 @@ def _compare(options: argparse.Namespace) -> int:
     _check_replaceable(folder, facts, overwrite=options.overwrite)
     robot, found = options.robot if config is None else config["robot"], {}
     with jax.enable_x64(True):
-        rows = verify_robot(robot, options.states, options.backend, options.seed)
+        rows = verify_robots(robot, options.states, options.backend, options.seed)
         if config is not None:
             if compared(config) == "tick":
-                rows += verify_ticks(config, random_samples(config, options.states, options.seed))
+                samples = random_samples(config, options.states, options.seed)
+                rows += verify_ticks(config, samples)
                 flight = verify_flight(config, options.backend)
                 rows += flight.rows
-                found = {"compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s"}
+                found = {
+                    "compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s",
+                    "not reached": unreached(flight.scenario, samples, flight.sections),
+                }
             else:
                 of_law, share = verify_law(config)
                 rows += of_law
-                found = {"compared": f"{share:.1%} of the ticks, the law alone"}
+                found = {
+                    "compared": f"{share:.1%} of the ticks, the law alone",
+                    "not reached": ["what no tick of this flight reaches, which is not examined"],
+                }
     print(table(rows))
     written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts, **found})
     bad = [row for row in rows if not row.agrees]
     but = f", not {', '.join(f'{row.group} {row.quantity}' for row in bad)}" if bad else ""
-    print("\n" + "".join(f"{name}: {value}\n" for name, value in found.items()), end="")
+    print("\n" + _lines(found))
     print(f"{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
     return 1 if bad else 0
 
@@ -171,11 +179,16 @@ def draw(rows: Sequence[Row], path: Path) -> bool:
     return True
 
 
+def _lines(facts: Mapping[str, Any]) -> str:
+    return "\n".join(
+        f"{name}: {', '.join(value) or 'none' if isinstance(value, list) else value}" for name, value in facts.items()
+    )
+
+
 def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[Path]:
     """Write table, numbers and figure; return the paths written."""
     text, numbers, figure = folder / "verify.md", folder / NUMBERS, folder / "verify.png"
-    heading = "\n".join(f"{name}: {value}" for name, value in facts.items())
-    write_text(text, f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n")
+    write_text(text, f"# Rust against JAX\n\n{_lines(facts)}\n\n{table(rows)}\n")
     entries = [replace_infinite(asdict(row) | {"relative": row.relative, "agrees": row.agrees}) for row in rows]
     write_json(numbers, dict(facts) | {"rows": entries})
     return [text, numbers, *([figure] if draw(rows, figure) else [])]

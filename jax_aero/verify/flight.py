@@ -4,6 +4,8 @@
 tick    before each tick JAX's plant and what its controller is given are the crate's; it keeps its own memory of
         controller, sensors, engines and commands on their way; what it measures, its command and the state to which
         that leads are compared with the crate's
+astray  the same of flights whose controller is given wrong joint velocities and thrusts, until they are lost: joints
+        reach their stops, torques their limits
 flight  nothing but the start is the crate's; compared until two flights of the crate that differ by a rounding in what
         every tick is given are apart
 ```
@@ -11,7 +13,8 @@ flight  nothing but the start is the crate's; compared until two flights of the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,7 +22,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from jax_aero import rust
@@ -57,6 +60,15 @@ NOT_COMPARED = ("qp_iterations", "qp_kkt", "measured_torque_latency", "measured_
 CARRIED = 100
 """Ticks for which memory carries a rounding on: 1 s."""
 
+EVERY = 4
+"""Ticks from one whose step of the dynamics is rounded to the next: many within those for which memory lasts."""
+
+SECTION = 100
+"""Ticks that one call of JAX flies, so that flights of every length are the same program; one astray has no more."""
+
+WRONG_SPEED, WRONG_THRUST = 3.0, (0.3, 1.5)
+"""Error of the measured joint velocities of a flight astray [rad/s, m/s], and ratio of its thrusts to the true ones."""
+
 
 class Logged(NamedTuple):
     """What JAX takes from the crate's log, for one tick or along a first axis."""
@@ -64,6 +76,18 @@ class Logged(NamedTuple):
     state: State
     thrust: Float[Array, " j"]
     measurement: Measurement
+
+
+class Section(NamedTuple):
+    """Some ticks of a flight of JAX: what they start from, what JAX is given, and what follows."""
+
+    start: FlightState
+    first: Any
+    """Number of the first tick."""
+    given: Logged
+    is_free: Any
+    after: FlightState
+    rows: FlightRow
 
 
 @dataclass(frozen=True)
@@ -80,6 +104,8 @@ class Verified:
         Number of ticks compared: those before the crate's guard acts.
     until
         Time up to which the flight from its start is compared [s].
+    scenario, sections
+        JAX's scenario, and its ticks that were compared, those astray first.
     """
 
     crate: FlightResult
@@ -87,6 +113,8 @@ class Verified:
     rows: list[Row]
     ticks: int
     until: float
+    scenario: Scenario
+    sections: list[Section]
 
     @property
     def share(self) -> float:
@@ -95,38 +123,93 @@ class Verified:
 
 
 def verify_flight(config: Mapping[str, Any], backend: str = "tree") -> Verified:
-    """Compare every tick of a flight alone, and the flight from its start as far as it can be reproduced."""
+    """Compare every tick of a flight and of some astray, and the flight from its start as far as it is reproducible."""
     crate = rust.fly(config)
     with jax.enable_x64(True):
         scenario, start = prepare({**config, "simulator": {**config["simulator"], "dynamics": backend}})
-        twin, free = (fly_as(scenario, start, crate, is_free=is_free) for is_free in (False, True))
+        sections, free = (list(fly_sections(scenario, start, crate, is_free=is_free)) for is_free in (False, True))
+    twin = join(crate, sections)
     ticks, rows = compare_ticks(crate, twin, replay_rounded(config, crate))
-    until, rows_of_flight = compare_flight(crate, free, _fly_rounded(config))
-    return Verified(crate, twin, [*rows, *rows_of_flight], ticks, until)
+    sections_astray, rows_astray = verify_astray(config, scenario, start)
+    until, rows_of_flight = compare_flight(crate, join(crate, free), _fly_rounded(config))
+    sections = [*sections_astray, *sections[: -(-ticks // SECTION)]]
+    return Verified(crate, twin, [*rows, *rows_astray, *rows_of_flight], ticks, until, scenario, sections)
+
+
+def verify_astray(config: Mapping[str, Any], scenario: Scenario, start: FlightState) -> tuple[list[Section], list[Row]]:
+    """Compare flights whose controller is given what is wrong; return JAX's ticks too."""
+    sections: list[Section] = []
+    rows: dict[str, Row] = {}
+    for crate in fly_astray(config):
+        with jax.enable_x64(True):
+            flown = list(fly_sections(scenario, start, crate))
+        twin = join(crate, flown)
+        found = compare_ticks(crate, twin, replay_rounded(config, crate), "astray")[1]
+        for row in found:
+            if not row.quantity.startswith("raw_"):  # not what its own sensors measure
+                rows[row.quantity] = max(
+                    rows.get(row.quantity, row), row, key=lambda row: (not row.agrees, row.relative)
+                )
+        sections += flown[: -(-ticks_unguarded(crate) // SECTION)]
+    return sections, list(rows.values())
+
+
+def fly_astray(config: Mapping[str, Any]) -> Iterator[FlightResult]:
+    """Yield flights of the crate whose controller is given wrong joint velocities and thrusts, until they are lost."""
+    for seed, ratio in itertools.product(range(2), WRONG_THRUST):
+        flight = rust.Flight(config)
+        wrong = WRONG_SPEED * np.random.default_rng(seed).choice(
+            [-1.0, 1.0], np.size(flight.truth.state.joint_position)
+        )
+        error = np.concatenate([np.zeros(6), np.sign(ratio - 1.0) * wrong])
+        while not flight.has_ended and flight.tick < SECTION:
+            given = flight.measurement
+            state = given.state._replace(velocity=np.asarray(given.state.velocity) + error)
+            flight.step(measurement=given._replace(state=state, thrust=ratio * np.asarray(given.thrust)))
+        yield flight.result()
 
 
 def fly_as(scenario: Scenario, start: FlightState, crate: FlightResult, *, is_free: bool = False) -> FlightResult:
     """Fly the ticks of the crate's flight, or, if `is_free`, as many from its start."""
+    return join(crate, list(fly_sections(scenario, start, crate, is_free=is_free)))
+
+
+def fly_sections(
+    scenario: Scenario, start: FlightState, crate: FlightResult, *, is_free: bool = False
+) -> Iterator[Section]:
+    """Yield the ticks of a flight as JAX flies them, the last section with its last tick repeated."""
     log = crate.log
+    measured = states_of(log, "raw_", log["raw_base_rotation"])
     given = Logged(
         states_of(log, "", rust.rotation_from_wxyz(log["base_quaternion"])),
         jnp.asarray(log["thrust"]),
-        Measurement(
-            jnp.asarray(log["time"]),
-            states_of(log, "raw_", log["raw_base_rotation"]),
-            jnp.asarray(log["raw_thrust"]),
-            jnp.asarray(log["raw_wind"]),
-        ),
+        Measurement(jnp.asarray(log["time"]), measured, jnp.asarray(log["raw_thrust"]), jnp.asarray(log["raw_wind"])),
     )
-    after, rows = jax.device_get(_fly(scenario, start, given, jnp.asarray(is_free)))
-    signals = {name: np.asarray(signal, np.float64) for name, signal in rows._asdict().items()}
+    for first in range(0, len(log["time"]), SECTION):
+        place = np.minimum(np.arange(first, first + SECTION), len(log["time"]) - 1)
+        section = jax.tree.map(lambda leaf, place=place: np.asarray(leaf)[place], given)
+        flown = fly_section(scenario, start, np.int32(first), section, np.asarray(is_free))
+        start = flown.after
+        yield flown
+
+
+def fly_section(scenario: Scenario, start: FlightState, first: Any, given: Logged, is_free: Any) -> Section:
+    """Fly the ticks of a section."""
+    return Section(start, first, given, is_free, *jax.device_get(_fly(scenario, start, first, given, is_free)))
+
+
+def join(crate: FlightResult, sections: Sequence[Section]) -> FlightResult:
+    """Return the flight of these sections, which has the ticks of the crate's."""
+    last = len(crate["time"]) - 1
+    after, rows = sections[-1].after, [section.rows._asdict() for section in sections]
     ending = Ending(int(after.loss), float(after.loss_size), int(after.loss_tick))
-    return make_result(signals, np.asarray(after.posture), ending, int(scenario.n_ticks))
+    signals = {name: np.concatenate([row[name] for row in rows]).astype(np.float64)[: last + 1] for name in rows[0]}
+    return make_result(signals, np.asarray(after.posture), ending, last)
 
 
 @partial(jax.jit, compiler_options=COMPILER_OPTIONS)
 def _fly(
-    scenario: Scenario, start: FlightState, logged: Logged, is_free: Bool[Array, ""]
+    scenario: Scenario, start: FlightState, first: Int[Array, ""], given: Logged, is_free: Bool[Array, ""]
 ) -> tuple[FlightState, FlightRow]:
     def fly_tick(state: FlightState, of_tick: tuple[Array, Logged]) -> tuple[FlightState, FlightRow]:
         (tick, now), found = of_tick, state.plant
@@ -147,8 +230,8 @@ def _fly(
             thrust=found.jets.thrust,
         )
 
-    ticks = jnp.arange(logged.thrust.shape[0], dtype=jnp.int32)
-    return jax.lax.scan(fly_tick, start, (ticks, logged))
+    ticks = first + jnp.arange(given.thrust.shape[0], dtype=jnp.int32)
+    return jax.lax.scan(fly_tick, start, (ticks, given))
 
 
 def replay_rounded(config: Mapping[str, Any], crate: FlightResult) -> dict[str, NDArray[np.float64]]:
@@ -174,7 +257,7 @@ def _round_velocities(
     rng, robot, dt = np.random.default_rng(2), rust.Robot(config["robot"]), config["simulator"]["time_step"]
     states = states_of(crate.log, "", rust.rotation_from_wxyz(crate["base_quaternion"]))
     velocity, rounded = np.asarray(states.velocity), np.array(states.velocity)
-    for tick, accelerated in enumerate(np.diff(velocity, axis=0) / dt):
+    for tick, accelerated in list(enumerate(np.diff(velocity, axis=0) / dt))[::EVERY]:
         state = rust.State(*(np.asarray(part[tick]) for part in states))
         dynamics = rust.dynamics(robot, state)
         force = dynamics.mass_matrix @ accelerated + dynamics.bias
@@ -186,17 +269,17 @@ def _round_velocities(
 
 
 def compare_ticks(
-    crate: FlightResult, twin: FlightResult, rounded: Mapping[str, NDArray[np.float64]]
+    crate: FlightResult, twin: FlightResult, rounded: Mapping[str, NDArray[np.float64]], group: str = "tick"
 ) -> tuple[int, list[Row]]:
     """Compare a flight with JAX's of the same ticks, up to the first in which the guard acts; return their number too.
 
     `rounded` is what `replay_rounded` returns.
     """
     ticks = ticks_unguarded(crate)
-    rows = compare_signals("tick", crate, twin.log, rounded, ticks)
+    rows = compare_signals(group, crate, twin.log, rounded, ticks)
     if ticks == len(crate["time"]):
         endings = [(flight.outcome, flight.lost_time, flight.lost_reason) for flight in (crate, twin)]
-        rows.append(compare("tick", "outcome", [float(endings[0] != endings[1])], [0.0], 0.0))
+        rows.append(compare(group, "outcome", [float(endings[0] != endings[1])], [0.0], 0.0))
     return ticks, rows
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, verify
-from jax_aero.verify import cli, compare, flight
+from jax_aero.verify import cli, compare, flight, reach
 from jax_aero.verify import ticks as verify_ticks
 
 
@@ -42,9 +42,12 @@ def test_a_small_error_in_a_quantity_that_vanishes_is_found():
     robot = rust.Robot(config["robot"])
     (sample,), weight = verify.random_samples(config, 1), robot.mass * robot.gravity
     sample = replace(sample, state=rust.State.at_rest(robot), wind=np.zeros(3))
-    sample = replace(sample, thrust=np.full(6, weight / verify_ticks._crate_tick(config, sample).jet_axes[:, 2].sum()))
+    (tick, _) = verify_ticks.crate_ticks(config, [sample])
+    sample = replace(sample, thrust=np.full(6, weight / tick.jet_axes[:, 2].sum()))
     rounded = verify.round_sample(np.random.default_rng(0), sample)
-    theirs, nearby = (verify_ticks._crate_tick(config, near).momentum_rate_estimate[2] for near in (sample, rounded))
+    theirs, nearby = (
+        verify_ticks.crate_ticks(config, [near])[0].momentum_rate_estimate[2] for near in (sample, rounded)
+    )
     assert abs(theirs) < 1e-15 * weight
     for error, agrees in ((0.0, True), (2.0 * np.spacing(weight), True), (1e-13 * weight, False), (np.nan, False)):
         row = compare("random", "momentum_rate_estimate", [theirs + error], [theirs], 1e-10, rounded=[nearby])
@@ -160,7 +163,7 @@ def compared(monkeypatch):
     """Put made-up differences in place of comparisons: of the robot 0.1 of its tolerance, of others as given."""
     calls, size = [], {"tick": 0.1}
 
-    def robot(path, states, backend, seed):
+    def robots(path, states, backend, seed):
         calls.append((path, states, backend, seed))
         return [compare("dynamics", "bias", [1.0 + 1e-11], [1.0], 1e-10)]
 
@@ -170,9 +173,10 @@ def compared(monkeypatch):
 
     def fly(config, backend):
         rows = [compare("flight", "wind", [0.0], [0.0], 1e-6, relative=False)]
-        return SimpleNamespace(rows=rows, share=0.998, until=12.34)
+        return SimpleNamespace(rows=rows, share=0.998, until=12.34, scenario=None, sections=[])
 
-    monkeypatch.setattr(cli, "verify_robot", robot)
+    monkeypatch.setattr(cli, "verify_robots", robots)
+    monkeypatch.setattr(reach, "unreached", lambda *_: ["fall.com_error"])
     monkeypatch.setattr(verify_ticks, "verify_ticks", ticks)
     monkeypatch.setattr(flight, "verify_flight", fly)
     monkeypatch.setattr(cli, "random_samples", lambda _, states, seed: ("random", states, seed))
@@ -190,9 +194,11 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert row("dynamics", "bias", " 1.0e-11", " 1.0e-11", "1e-10 rel") in printed
     assert row("flight", "wind", " 0.0e+00", " 0.0e+00", "1e-06 abs") in printed
     assert "compared: 99.8% of the ticks, the flight up to 12.34 s" in printed
+    assert "not reached: fall.com_error" in printed
     assert "3 of 3 quantities agree" in printed
     document = json.loads((tmp_path / "verify.json").read_text())
     assert [row["agrees"] for row in document["rows"]] == [True] * 3
+    assert document["not reached"] == ["fall.com_error"]
     assert document["config"] == rust.config_digest(rust.load_config("test1"))[:12]
     assert (tmp_path / "verify.png").stat().st_size > 0
     assert "config: " in (tmp_path / "verify.md").read_text()
