@@ -27,8 +27,8 @@ from jax_aero.base import places, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import RobotModel, load_robot
 
-PRINTED, RIGHT = "published", "corrected"
-"""Coefficient sets of the robot: as printed, and with the head's misprint corrected."""
+RIGHT = "corrected"
+"""Coefficient set of the robot with the head's misprint corrected."""
 LEFT_OUT, NETWORK = "refit, posture left out", "network, posture left out"
 
 

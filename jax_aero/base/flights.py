@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import xarray as xr
 
 from jax_aero.base.result import ending
@@ -21,11 +20,6 @@ def verdict(flight: xr.Dataset) -> str:
     return ending(str(flight.attrs["outcome"]), lost_time(flight), str(flight.attrs["lost_reason"]))
 
 
-def until_loss(flight: xr.Dataset) -> xr.Dataset:
-    """Return a flight up to its loss, after which values are not meaningful and may be unbounded."""
-    return flight.sel(time=slice(None, lost_time(flight)))
-
-
 def com_error(flight: xr.Dataset) -> xr.DataArray:
     """Return the distance of the centre of mass from its set-point [m]."""
     return _norm(flight["com_position"] - flight["com_setpoint"])
@@ -34,16 +28,6 @@ def com_error(flight: xr.Dataset) -> xr.DataArray:
 def wind_speed(flight: xr.Dataset) -> xr.DataArray:
     """Return the speed of the wind [m/s]."""
     return _norm(flight["wind"])
-
-
-def joint_error_sums(flight: xr.Dataset) -> xr.DataArray:
-    """Return the sum of absolute joint errors of each group [rad], dims time and group, in the robot's order."""
-    errors = abs(flight["joint_position"] - flight["joint_setpoint"])
-    group_of = flight["joint_group"].values
-    groups = list(dict.fromkeys(group_of.tolist()))
-    sums = [errors.values[:, group_of == group].sum(axis=1) for group in groups]
-    table = np.stack(sums, axis=1) if sums else np.zeros((flight.sizes["time"], 0))
-    return xr.DataArray(table, {"time": flight["time"], "group": groups}, ("time", "group"))
 
 
 def aero_force(flight: xr.Dataset, *, of_controller: bool = False) -> xr.DataArray:

@@ -19,7 +19,7 @@ from jax_aero.verify.flight import Section, fly_section
 from jax_aero.verify.ticks import twin_ticks
 
 CHANGE = 1.1
-"""Factor of a number, or what is added to a zero, less one; limits act later."""
+"""Factor of a number, so that limits act later; of zeros alone one more than what they become."""
 
 ASTRAY = 4
 """Number of the flights astray, whose sections come first; almost everything shows in them."""
@@ -74,7 +74,7 @@ def changes(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
         name = jax.tree_util.keystr(path).lstrip(".")
         if np.size(leaf) and not name.startswith(COPIED):
             values = [value for _, value in leaves]
-            values[place] = np.where(leaf == 0.0, CHANGE - 1.0, CHANGE * leaf)
+            values[place] = CHANGE * np.asarray(leaf) if np.any(leaf) else np.full_like(leaf, CHANGE - 1.0)
             yield name, jax.tree.unflatten(structure, values)
 
 
