@@ -1,7 +1,7 @@
 """The table of the paper: its figures, tables, equations and numbers, their claims, how each is measured, our verdict.
 
 `paper.toml` is the only table, to which the claims in the files of sweeps are added; the report (`jax-aero report`) and
-the documentation's page (`jax-aero report --index`) follow from it. Verdicts on claims are computed. Entries of studies
+the documentation's page (`jax-aero report --index`) follow from it. Verdicts are computed (`judge`). Entries of studies
 whose folders are not there are left out, and figures and sweeps that the table does not name are added to its end.
 """
 
@@ -12,66 +12,16 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-import msgspec
 from msgspec.structs import replace
 
-from experiments import Refused, studies
-from experiments.report.findings import ANOTHER, NOT_FLOWN, OUTDATED, Finding, Judged, Kind, error, mark_outdated
-from experiments.report.judges import files, results, sweeps, tunnel
-from experiments.report.results import NotFlownError, Results, StaleError
+from experiments import studies
+from experiments.report.judge import Claim, Kind, each, of_sweep, whole
+from experiments.sweep.criteria import Criterion
 from jax_aero.base import places, tables
 from paper_figs.figures import FIGURES, SWEEPS
 
-JUDGES = {"files": files, "tunnel": tunnel, "results": results, "sweeps": sweeps}
-"""Modules of judges: the first two need committed files alone."""
 OURS = "Beyond the paper"
-
-
-class Claim(tables.Table, frozen=True):
-    """A statement of the paper or of this project, and how it is measured."""
-
-    where: str
-    """Place in the paper, or "ours"."""
-    states: str
-    judge: str
-    """Module of `JUDGES` and function."""
-    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
-    commands: tuple[str, ...] = ()
-    """Commands that make the results, without `jax-aero`; none if committed files suffice."""
-    figure: str = ""
-    """Figure or sweep that shows it, if not that of its item."""
-
-    @property
-    def is_of_sweep(self) -> bool:
-        """Return whether it stands in the file of a sweep, with which its finding is kept."""
-        return self.judge.startswith("sweeps.")
-
-    def decide(self, known: Results) -> Judged:
-        """Return measurement and verdict of its judge."""
-        module, _, name = self.judge.partition(".")
-        judged: Judged = getattr(JUDGES[module], name)(
-            *([known] if module in ("results", "sweeps") else []), **self.arguments
-        )
-        return judged
-
-    def find(self, known: Results) -> Finding:
-        """Return measurement and verdict from the results that exist."""
-        known.made.clear()
-        try:
-            measured, verdict = self.decide(known)
-        except NotFlownError as reason:
-            verdict = OUTDATED if isinstance(reason, StaleError) else NOT_FLOWN
-            return Finding("; ".join(known.failures(each(self.commands))) or str(reason), verdict)
-        except Refused:
-            raise
-        except Exception as reason:  # of a result that does not fit, or of the judge
-            return Finding("no measurement", error(reason))
-        if changed := [f"{name} ({made.differs})" for name, made in known.made.items() if made.differs]:
-            measured, verdict = f"{measured}; {ANOTHER}: {', '.join(changed)}", mark_outdated(verdict)
-        commits = {made.created: made.commit for made in known.made.values() if made.created and made.commit}
-        return Finding(measured, verdict, commits[max(commits)] if commits else None)
 
 
 class Item(tables.Table, frozen=True):
@@ -105,20 +55,6 @@ class Item(tables.Table, frozen=True):
         return list(dict.fromkeys([*made, *drawn]))
 
 
-def each(commands: Sequence[str]) -> list[str]:
-    """Return commands as they are typed, one for each flight and each sweep."""
-    made: list[str] = []
-    for line in whole(commands):
-        word, *names = line.split()[1:]
-        made += [f"jax-aero {word} {name}" for name in names] if word in ("fly", "sweep") else [line]
-    return made
-
-
-def whole(commands: Sequence[str]) -> list[str]:
-    """Return commands as they are typed."""
-    return [command if command.startswith("jax-aero ") else f"jax-aero {command}" for command in commands]
-
-
 class _Section(tables.Table, frozen=True):
     title: str
     item: tuple[Item, ...]
@@ -138,11 +74,17 @@ def _table() -> _Paper:
 def all_claims() -> dict[str, Claim]:
     """Return all claims by key: those of the table whose studies are there, then those in the files of sweeps."""
     found = {key: claim for key, claim in _table().claim.items() if all(map(_is_here, claim.commands))}
-    for name in SWEEPS:
-        for one in sweeps.of_sweep(name):
-            given = {"name": name, "claim": one}
-            found[one.key] = Claim("ours", one.states, "sweeps.decide", given, (f"sweep {name}",))
-    return found
+    return found | {claim.key: of_sweep(name, claim) for name in SWEEPS for claim in stated(name)}
+
+
+class _Stated(tables.Table, frozen=True):
+    claim: tuple[Criterion, ...] = ()
+
+
+def stated(name: str) -> tuple[Criterion, ...]:
+    """Return the claims in the file of a shipped sweep, without reading what its levels name."""
+    path = places.find("sweeps", name)
+    return tables.convert({"claim": tables.read(path).get("claim", [])}, _Stated, path.name).claim
 
 
 @cache
@@ -166,8 +108,7 @@ def sections() -> Mapping[str, Sequence[Item]]:
         for place, item in enumerate(items):
             if item.figure in waiting:
                 waiting.remove(item.figure)
-                stated = (one.key for one in sweeps.of_sweep(item.figure))
-                items[place] = replace(item, claims=(*item.claims, *stated))
+                items[place] = replace(item, claims=(*item.claims, *(claim.key for claim in stated(item.figure))))
     return found
 
 

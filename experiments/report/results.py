@@ -1,4 +1,4 @@
-"""Data of a report, read once: flights, ground experiments, sweeps."""
+"""Data of a report, read once: flights, sweeps, studies."""
 
 from __future__ import annotations
 
@@ -7,21 +7,29 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import xarray as xr
 
 from experiments import Refused, outdated
-from experiments.report.findings import ANOTHER
-from experiments.report.measures import flight, standing
 from jax_aero import rust
-from jax_aero.base import documents, places
+from jax_aero.base import documents, flights, keys, places, run_file
 from jax_aero.base.files import find_damaged, read_json
 from jax_aero.base.parquet import read_rows
+from jax_aero.base.result import ending
+from jax_aero.rust import SETTLING_TIME
 
-Cell = Mapping[str, Any]
-Flown = TypeVar("Flown")
+Cell: TypeAlias = Mapping[str, Any]
 
+ANOTHER = "made of another configuration or code than today's"
+"""Reason why a verdict is outdated, followed by the difference."""
 FAILED = "failed.json"
 """File of a results folder: the commands of `make reproduce` that failed, each with the reason."""
+WINDY = 3.0
+"""Least relative wind whose direction is meaningful [m/s]."""
+FINAL = 3.0
+"""Duration of the end of a flight, at rest in the paper's mission [s]."""
 
 
 class NotFlownError(Exception):
@@ -33,6 +41,91 @@ class StaleError(NotFlownError):
 
 
 @dataclass(frozen=True)
+class Flight:
+    """One flight; angles are in degrees."""
+
+    folder: Path
+    document: Mapping[str, Any]
+    """Its manifest."""
+
+    @property
+    def ending(self) -> str:
+        """Return how it ended."""
+        return ending(*(self.document[key] for key in ("outcome", "lost_time", "lost_reason")))
+
+    def figure(self, name: str) -> float:
+        """Return a figure of its summary; NaN if it has none."""
+        value = self.document["summary"].get(name)
+        return np.nan if value is None else float(value)
+
+    @property
+    def rotation_error(self) -> float:
+        """Return the greatest rotation error [deg]."""
+        return float(np.degrees(self.figure("max_rotation_error")))
+
+    @property
+    def com_error(self) -> float:
+        """Return the greatest position error after settling [m]; NaN if the flight ended before."""
+        return self.figure("max_com_error")
+
+    @property
+    def thrust(self) -> tuple[float, float]:
+        """Return the least and the greatest thrust [N]."""
+        return self.figure("thrust_min"), self.figure("thrust_max")
+
+    @cached_property
+    def run(self) -> xr.Dataset:
+        """Return its signals; as in its summary, without the row in which it diverged."""
+        run = run_file.read(self.folder / places.RUN_FILE)
+        return run.isel(time=slice(-1)) if run.attrs["outcome"] == "diverged" else run
+
+    @property
+    def joint_errors(self) -> tuple[float, float]:
+        """Return the greatest sum of joint errors over all joints, and its mean over the last seconds [deg]."""
+        error = np.degrees(flights.joint_error_sums(self.run).sum("group"))
+        return float(error.max()), float(error[error["time"] >= error["time"][-1] - FINAL].mean())
+
+    @property
+    def asymmetry(self) -> tuple[float, float]:
+        """Return the greatest difference between left and right thrust after settling: arms, chest [N]."""
+        thrust = self.run["thrust"].sel(time=slice(SETTLING_TIME, None))
+
+        def difference(part: str) -> float:
+            pair = thrust.isel(jet=[part in str(jet) for jet in thrust["jet"].values])
+            return float(abs(pair.diff("jet")).max()) if pair.sizes["jet"] == 2 else np.nan
+
+        return difference("arm"), difference("chest")
+
+    @property
+    def force_difference(self) -> tuple[float, float, float]:
+        """Return the greatest difference of simulated and assumed force [N], when [s], and the greatest force [N]."""
+        simulated, assumed = (flights.aero_force(self.run, of_controller=side).values for side in (False, True))
+        difference = np.linalg.norm(simulated - assumed, axis=1)
+        when = float(self.run["time"][difference.argmax()])
+        return float(difference.max()), when, float(np.linalg.norm(simulated, axis=1).max())
+
+    @property
+    def force_angle(self) -> tuple[float, float]:
+        """Return the angle between total force and relative wind [deg]: median and greatest; NaN without wind."""
+        air, force = (self.run["wind"] - self.run["com_velocity"]).values, flights.aero_force(self.run).values
+        windy = np.linalg.norm(air, axis=1) > WINDY
+        if not windy.any():
+            return np.nan, np.nan
+        air, force = air[windy], force[windy]
+        sizes = np.linalg.norm(air, axis=1) * np.maximum(np.linalg.norm(force, axis=1), 1e-12)
+        angle = np.degrees(np.arccos(np.clip((air * force).sum(axis=1) / sizes, -1.0, 1.0)))
+        return float(np.median(angle)), float(angle.max())
+
+    @property
+    def stood(self) -> tuple[float, float]:
+        """Return when the wind of a ground experiment begins to rise [s], and the mass of its controller [kg]."""
+        config = self.document["config"]
+        scale = keys.get(config, "disturbances.model_error.mass_scale") or 1.0
+        start = float(keys.get(config, "disturbances.controller_wind")["ramp_start"])
+        return start, scale * rust.Robot(str(places.ROBOT)).mass
+
+
+@dataclass(frozen=True)
 class Sweep:
     """One finished sweep."""
 
@@ -40,6 +133,11 @@ class Sweep:
     cells: list[dict[str, Any]]
     differs: str = ""
     """Difference of its configuration from the present one; empty if there is none."""
+
+    @property
+    def axes(self) -> list[str]:
+        """Return the names of its axes."""
+        return [axis["name"] for axis in self.document["axes"]]
 
     def cell(self, **labels: object) -> Cell:
         """Return the only cell with these levels; `KeyError` if there is none, as in a sweep of other levels."""
@@ -78,71 +176,26 @@ class Results:
     made: dict[str, Origin] = field(default_factory=dict)
     """Origins of the results that were used, by name."""
 
-    @cached_property
-    def failed(self) -> dict[str, str]:
-        """Return the commands of the last `make reproduce` that failed, each with the reason."""
-        path = self.folder / FAILED
-        return read_json(path, dict[str, str]) if path.is_file() else {}
-
     def failures(self, commands: Iterable[str]) -> list[str]:
-        """Return which of these commands failed, and why."""
-        return [f"`{command}` failed: {self.failed[command]}" for command in commands if command in self.failed]
-
-    def note(self, name: str, document: Mapping[str, Any], differs: str) -> None:
-        """Record the origin of a result."""
-        created = document.get("finished", document).get("created", "")
-        self.made[name] = Origin(created, (document.get("git") or {}).get("commit"), differs)
+        """Return which of these commands failed in the last `make reproduce`, and why."""
+        path = self.folder / FAILED
+        failed = read_json(path, dict[str, str]) if path.is_file() else {}
+        return [f"`{command}` failed: {failed[command]}" for command in commands if command in failed]
 
     @cached_property
-    def manifests(self) -> dict[str, dict[str, Any]]:
-        """Return the manifests of flights without --set, by name; others are not the paper's."""
+    def flights(self) -> dict[str, Flight]:
+        """Return every flight without --set, by name; others are not the paper's."""
         found = {}
         for folder in sorted((self.folder / "flight").glob("[!.]*")):
             path = folder / places.MANIFEST_FILE
             if "--" not in folder.name and os.path.lexists(path):
-                found[path.parent.name] = read_json(path, documents.Manifest)
-                _require_whole(path.parent, found[path.parent.name])
+                found[folder.name] = Flight(folder, read_json(path, documents.Manifest))
+                _require_whole(folder, found[folder.name].document)
         return found
 
     @cached_property
-    def differences(self) -> dict[str, str]:
-        """Return the difference of every such flight from today's, by name."""
-        return {name: outdated.flight(name, document) for name, document in self.manifests.items()}
-
-    @cached_property
-    def flights(self) -> dict[str, flight.Metrics]:
-        """Return the metrics of every flight without --set, by name, unless it is refused."""
-        return {name: flight.read(self.folder / "flight" / name) for name in self._used(self.differences)}
-
-    def _used(self, differences: Mapping[str, str]) -> list[str]:
-        return [name for name, difference in differences.items() if self.stale or not difference]
-
-    @cached_property
-    def refused(self) -> dict[str, str]:
-        """Return the flights and sweeps that are of another configuration or code, with the difference."""
-        flights = {name: self.differences[name] for name in self.manifests if name not in self.flights}
-        return flights | {
-            f"sweep {name}": sweep.differs for name, sweep in self._finished.items() if name not in self.sweeps
-        }
-
-    @cached_property
-    def ground_experiments(self) -> dict[str, standing.Ground]:
-        """Return the metrics of every ground experiment without --set, by name."""
-        mass = rust.Robot(str(places.ROBOT)).mass
-        read = (
-            standing.read(self.folder / "flight" / name, self.manifests[name].get("config", {}), mass)
-            for name in self._used(self.differences)
-        )
-        return {found.name: found for found in read if found is not None}
-
-    @cached_property
     def sweeps(self) -> dict[str, Sweep]:
-        """Return every finished sweep, by name, unless it is refused."""
-        used = self._used({name: sweep.differs for name, sweep in self._finished.items()})
-        return {name: self._finished[name] for name in used}
-
-    @cached_property
-    def _finished(self) -> dict[str, Sweep]:
+        """Return every finished sweep, by name."""
         found = {}
         for path in sorted((self.folder / "sweeps").glob("*/cells.parquet")):
             described = path.with_name("sweep.json")
@@ -156,30 +209,33 @@ class Results:
                 found[name] = Sweep(document, cells, outdated.sweep(path.parent, document))
         return found
 
-    def flight(self, name: str) -> flight.Metrics:
-        """Return the metrics of a flight without --set."""
-        return self._find(self.flights, name)
+    @cached_property
+    def differences(self) -> dict[str, str]:
+        """Return the difference of every flight and sweep from today's, by name; empty if there is none."""
+        flights = {name: outdated.flight(name, flight.document) for name, flight in self.flights.items()}
+        return flights | {f"sweep {name}": sweep.differs for name, sweep in self.sweeps.items()}
 
-    def ground_experiment(self, name: str) -> standing.Ground:
-        """Return the metrics of a ground experiment without --set."""
-        return self._find(self.ground_experiments, name)
+    @property
+    def refused(self) -> dict[str, str]:
+        """Return the flights and sweeps that are of another configuration or code, with the difference."""
+        return {} if self.stale else {name: differs for name, differs in self.differences.items() if differs}
 
-    def _find(self, found: Mapping[str, Flown], name: str) -> Flown:
-        self._refuse(name, self.differences.get(name, ""))
-        if name not in found:
+    def flight(self, name: str) -> Flight:
+        """Return a flight without --set."""
+        if name not in self.flights:
             raise NotFlownError(f"`jax-aero fly {name}` has not been run")
-        self.note(name, self.manifests[name], self.differences[name])
-        return found[name]
+        self._use(name, self.flights[name].document, self.differences[name])
+        return self.flights[name]
 
     def sweep(self, name: str) -> Sweep:
         """Return a finished sweep without failed flights."""
-        if name not in self._finished:
+        if name not in self.sweeps:
             raise NotFlownError(f"`jax-aero sweep {name}` has not been run")
-        found = self._finished[name]
-        self._refuse(f"sweep {name}", found.differs)
-        if failed := found.document["finished"]["outcomes"].get("error"):
+        found = self.sweeps[name]
+        failed = found.document["finished"]["outcomes"].get("error")
+        if failed and (self.stale or not found.differs):
             raise NotFlownError(f"{failed} flights of `jax-aero sweep {name}` could not be flown")
-        self.note(f"sweep {name}", found.document, found.differs)
+        self._use(f"sweep {name}", found.document, found.differs)
         return found
 
     def study(self, kind: str, name: str) -> dict[str, Any]:
@@ -189,14 +245,15 @@ class Results:
             command = "cfd flow" if kind == "cfd_flow" else f"study {kind}"
             raise NotFlownError(f"`jax-aero {command} {name}` has not been run")
         document = read_json(path, documents.Manifest)
-        differs = outdated.study(kind, name, document)
-        self._refuse(f"{kind} {name}", differs)
-        self.note(f"{kind} {name}", document, differs)
+        self._use(f"{kind} {name}", document, outdated.study(kind, name, document))
         return dict(document.get("summary", {}))
 
-    def _refuse(self, name: str, differs: str) -> None:
+    def _use(self, name: str, document: Mapping[str, Any], differs: str) -> None:
+        """Refuse a result that differs from today's, or else record its origin."""
         if differs and not self.stale:
             raise StaleError(f"{ANOTHER}: {name} ({differs})")
+        created = document.get("finished", document).get("created", "")
+        self.made[name] = Origin(created, (document.get("git") or {}).get("commit"), differs)
 
     def figures(self, name: str) -> dict[str, str]:
         """Return the paths of a figure, relative to the report, by the runs it shows; "" for its default runs."""

@@ -1,0 +1,258 @@
+"""The one judge: a claim, what a measure found for it in each of its cases, the verdict, and the file that keeps it.
+
+```text
+claim (paper.toml, a sweep's file) ──► measure ──► values by case ──► bounds of the claim ──► verdict
+```
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from experiments import Refused, manifest
+from experiments.report.measures import Cases, Measured, files, one, results
+from experiments.report.results import ANOTHER, NotFlownError, Results, StaleError
+from experiments.sweep.criteria import Criterion
+from jax_aero.base import tables
+from jax_aero.base.files import read_json
+
+MEASURES = {"files": files, "results": results}
+"""Modules of measures: the first needs committed files alone."""
+OF_SWEEP = "results.cells"
+"""Measure of a claim in the file of a sweep."""
+
+
+class Kind(Enum):
+    """Kind of a verdict; the value is its word in texts and in `docs/claims.json`."""
+
+    AGREES = "agrees"
+    IN_PART = "agrees in part"
+    DIFFERS = "differs"
+    OUT_OF_REACH = "out of reach"
+    NOT_COMPARED = "not compared"
+    NOT_FLOWN = "not flown here"
+    OUTDATED = "outdated"
+    ERROR = "error"
+
+
+class Verdict(msgspec.Struct, frozen=True):
+    """A verdict with its whole text."""
+
+    kind: Kind
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+    @classmethod
+    def of(cls, kind: Kind, why: str = "") -> Verdict:
+        """Return the verdict that says its kind, and why."""
+        return cls(kind, f"{kind.value}: {why}" if why else kind.value)
+
+    def but(self, limit: str) -> Verdict:
+        """Return the verdict with an addition that limits it: what agrees then agrees in part."""
+        return Verdict(Kind.IN_PART if self.kind is Kind.AGREES and limit else self.kind, f"{self}{limit}")
+
+
+AGREES, NOT_FLOWN, OUTDATED = map(Verdict.of, (Kind.AGREES, Kind.NOT_FLOWN, Kind.OUTDATED))
+class Bound(tables.Table, frozen=True):
+    """What a value has to be, in every case that has it."""
+
+    of: str
+    """Name of the value."""
+    least: float | None = None
+    most: float | None = None
+    above: float | None = None
+    below: float | None = None
+    equal: bool | float | str | list[Any] | None = None
+    unit: str = ""
+    how: str = "{miss:+.3g} {unit}"
+    """How it differs; values of the case stand in braces, `miss` is the distance to the nearer bound."""
+    part: str = ""
+    """Part of the claim that it decides, if not the case."""
+
+    def holds(self, value: Any) -> bool:
+        """Return whether a value is within the bounds; NaN is not."""
+        return (
+            (self.least is None or value >= self.least)
+            and (self.most is None or value <= self.most)
+            and (self.above is None or value > self.above)
+            and (self.below is None or value < self.below)
+            and (self.equal is None or value == self.equal)
+        )
+
+    def differs(self, case: str, values: Mapping[str, Any]) -> str:
+        """Return how the value of a case differs."""
+        value, (low, high) = values[self.of], ((self.least, self.above), (self.most, self.below))
+        ends = [end for end in (*low, *high) if end is not None]
+        miss = value - min(ends, key=lambda end: abs(value - end)) if ends else 0.0
+        return self.how.format_map({"case": case, "miss": miss, "unit": self.unit, **values}).rstrip()
+
+
+class Claim(tables.Table, frozen=True):
+    """A statement of the paper or of this project, how it is measured, and the bounds of what it says."""
+
+    where: str
+    """Place in the paper, or "ours"."""
+    states: str
+    measure: str = ""
+    """Module of `MEASURES` and function; none if nothing is measured."""
+    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+    says: str = ""
+    """What was measured of a case, with values in braces."""
+    before: str = ""
+    """Text before the cases, with values of the first one."""
+    join: str = "; "
+    """Between cases."""
+    asks: tuple[Bound, ...] = ()
+    remarks: tuple[Bound, ...] = ()
+    """Bounds that limit a verdict without deciding it: `how`, with the cases in which they fail, follows its text."""
+    in_part: str = ""
+    """Verdict if `holds` and `fails`, parts or cases, differ; without it a claim holds everywhere or not."""
+    verdict: str = ""
+    """The verdict if none of ours can be computed: the word of its kind, and the reason."""
+    commands: tuple[str, ...] = ()
+    """Commands that make the results, without `jax-aero`; none if committed files suffice."""
+    figure: str = ""
+    """Figure or sweep that shows it, if not that of its item."""
+
+    @property
+    def is_of_sweep(self) -> bool:
+        """Return whether it stands in the file of a sweep, with which its finding is kept."""
+        return self.measure == OF_SWEEP
+
+    def decide(self, known: Results) -> tuple[str, Verdict]:
+        """Return measurement and verdict from results."""
+        module, _, name = self.measure.partition(".")
+        found = one()
+        if name:
+            found = getattr(MEASURES[module], name)(*([known] if module == "results" else []), **self.arguments)
+        return self.text(found), self.judge(found.cases)
+
+    def find(self, known: Results) -> Finding:
+        """Return measurement and verdict from the results that exist."""
+        known.made.clear()
+        try:
+            measured, verdict = self.decide(known)
+        except NotFlownError as reason:
+            verdict = OUTDATED if isinstance(reason, StaleError) else NOT_FLOWN
+            return Finding("; ".join(known.failures(each(self.commands))) or str(reason), verdict)
+        except Refused:
+            raise
+        except Exception as reason:  # of a result that does not fit, or of the measure
+            return Finding("no measurement", Verdict.of(Kind.ERROR, f"{type(reason).__name__}: {reason}"))
+        if changed := [f"{name} ({made.differs})" for name, made in known.made.items() if made.differs]:
+            measured = f"{measured}; {ANOTHER}: {', '.join(changed)}"
+            verdict = Verdict.of(Kind.OUTDATED, verdict.text)
+        commits = {made.created: made.commit for made in known.made.values() if made.created and made.commit}
+        return Finding(measured, verdict, commits[max(commits)] if commits else None)
+
+    def text(self, found: Measured) -> str:
+        """Return what was measured."""
+        if not self.says:
+            return found.text
+        said = [self.says.format_map({"case": case, **values}) for case, values in found.cases.items()]
+        return self.before.format_map(next(iter(found.cases.values()))) + self.join.join(said)
+
+    def judge(self, cases: Cases) -> Verdict:
+        """Return the verdict on values by case."""
+        if self.verdict:
+            return Verdict(Kind(self.verdict.partition(":")[0]), self.verdict)
+        asked = [(bound, case, values) for case, values in cases.items() for bound in self.asks if bound.of in values]
+        failed = [(bound.part or case, bound.differs(case, values)) for bound, case, values in _failing(asked)]
+        fails, how = (", ".join(dict.fromkeys(texts)) for texts in (zip(*failed, strict=True) if failed else ((), ())))
+        parts = dict.fromkeys(bound.part or case for bound, case, _ in asked)
+        holds = [part for part in parts if part not in dict(failed)]
+        said = {"holds": ", ".join(holds), "fails": fails, "how": how, "held": len(holds), "parts": len(parts)}
+        verdict = AGREES
+        if failed and holds and self.in_part:
+            verdict = Verdict(Kind.IN_PART, self.in_part.format_map(said))
+        elif failed:
+            verdict = Verdict.of(Kind.DIFFERS, how)
+        for bound in self.remarks:
+            limits = [(case, values) for _, case, values in _failing((bound, *one) for one in cases.items())]
+            if limits:
+                fails = ", ".join(case for case, _ in limits)
+                verdict = verdict.but(bound.how.format_map({**limits[0][1], "fails": fails}))
+        return verdict
+
+
+def of_sweep(name: str, claim: Criterion) -> Claim:
+    """Return the claim in the file of a sweep."""
+    limits = [Bound(of=column, most=limit, how=f"{{case}}: {{{column}_text}}") for column, limit in claim.at_most.items()]
+    ended = Bound(of="others", most=0, how="{case}: {missed}")
+    asks = [Bound(of="above", most=0, how="{case}")] if claim.share is not None else [ended, *limits]
+    return Claim(
+        where="ours",
+        states=claim.states,
+        measure=OF_SWEEP,
+        arguments={"name": name, "claim": claim},
+        asks=tuple(asks),
+        commands=(f"sweep {name}",),
+    )
+
+
+def each(commands: Sequence[str]) -> list[str]:
+    """Return commands as they are typed, one for each flight and each sweep."""
+    made: list[str] = []
+    for line in whole(commands):
+        word, *names = line.split()[1:]
+        made += [f"jax-aero {word} {name}" for name in names] if word in ("fly", "sweep") else [line]
+    return made
+
+
+def whole(commands: Sequence[str]) -> list[str]:
+    """Return commands as they are typed."""
+    return [command if command.startswith("jax-aero ") else f"jax-aero {command}" for command in commands]
+
+
+def _failing(asked: Any) -> Iterator[tuple[Bound, str, Mapping[str, Any]]]:
+    return ((bound, case, values) for bound, case, values in asked if not bound.holds(values[bound.of]))
+
+
+# --- what was found -------------------------------------------------------------------------------------------------
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """What was found of a claim."""
+
+    measured: str
+    verdict: Verdict
+    commit: str | None = None
+    """Commit at which the latest of the results used was made; `None` if only files are used."""
+
+
+class Record(msgspec.Struct):
+    """`claims.json` of a report: findings by the claims' keys."""
+
+    claims: dict[str, Finding]
+
+
+def read(path: Path) -> dict[str, Finding]:
+    """Return the findings of a file; none if there is no such file."""
+    return msgspec.convert(read_json(path, Record), Record).claims if os.path.lexists(path) else {}
+
+
+def to_json(found: Mapping[str, Finding], kept: Path) -> str:
+    """Return findings from results as JSON, each with its commit.
+
+    A claim that is not flown here, or otherwise than today, keeps its stored finding. The commit is that of the
+    results, which may be older than the code that judges them.
+    """
+    older, here = read(kept), manifest.git_state()["commit"]
+    claims = {}
+    for key, finding in found.items():
+        old = older.get(key)
+        is_kept = finding.verdict.kind in (Kind.NOT_FLOWN, Kind.OUTDATED) or (
+            old is not None and (old.measured, old.verdict) == (finding.measured, finding.verdict)
+        )
+        claims[key] = old if old and is_kept else msgspec.structs.replace(finding, commit=finding.commit or here)
+    document = {"command": "jax-aero report --claims docs/claims.json", "claims": msgspec.to_builtins(claims)}
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"

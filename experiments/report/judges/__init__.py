@@ -1,1 +1,0 @@
-"""Judgements of claims: by committed files, results, the tunnel's tables, and sweeps that state their own."""

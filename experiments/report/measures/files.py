@@ -1,0 +1,298 @@
+"""Measures of committed files alone: robot, engines, network, tables of tunnel and CFD."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from experiments.battery import PAPER_BATTERY, Choice
+from experiments.report.measures import Measured, one
+from jax_aero import rust
+from jax_aero.base import tables
+from jax_aero.base.places import CONFIGS, ROBOT
+from paper_figs import tunnel
+from paper_figs.tunnel import CFD, EPSILON, OMEGA, TUNNEL
+
+NETWORK = CONFIGS / "aero" / "networks" / "default.json"
+GRAVITY = 9.81
+
+AIR_DENSITY, AIR_VISCOSITY = 1.225, 1.8e-5
+"""Density [kg/m³] and viscosity [kg/(m s)] in the sphere and cylinder model of the published controller."""
+SPEED_OF_SOUND = 340.3
+"""Speed of sound at sea level in the standard atmosphere [m/s]."""
+TUNNEL_SECTION = (4.0, 3.84)
+"""Width and height of the low-turbulence test section [m]. Source: paper, Methods."""
+TUNNEL_SPEED = 17.0
+"""Speed in the tests of flight postures [m/s]."""
+ERGAL_STRENGTH = 572.0
+"""Ultimate tensile strength of aluminium 7075-T6 ("Ergal") [MPa]. Source: MIL-HDBK-5, bar; lower for other tempers."""
+STRESSES = {"jetpack": 57.0, "forearm": 77.0}
+"""Stresses that the paper computes by finite elements [MPa]."""
+RELIABLE_SPEED = 15.0
+"""Below it the paper suspects the balance's calibration [m/s]."""
+
+
+def table(name: str) -> dict[str, Any]:
+    """Read a TOML file of `configs`."""
+    return tables.read(CONFIGS / name)
+
+
+def robot() -> dict[str, Any]:
+    """Return the robot's own file."""
+    return table("robot/ironcub_mk1.toml")
+
+
+def steady_thrust(engine: Mapping[str, float], throttle: float) -> float:
+    """Return the steady thrust [N] of M32 at a throttle [%]; NaN if there is none."""
+    v = throttle * (1.0 + engine["b_uu"] * throttle)
+    a, b, c = engine["k_tt"], engine["k_t"] + engine["b_t"] * v, engine["c"] + engine["b_u"] * v
+    inside = b * b - 4.0 * a * c
+    # Root of a quadratic; for k_tt < 0 the greater root is the stable one, where more thrust decreases acceleration.
+    return (-b - math.sqrt(inside)) / (2.0 * a) if inside >= 0.0 else math.nan
+
+
+def silhouette() -> float:
+    """Return an upper bound of the links' projected area [m²], independent of their attitude.
+
+    A cylinder's is `d l sin α + (π/4) d² cos α`, at most the root of the sum of squares; links do not hide each other.
+    """
+    area = 0.0
+    for link in robot()["aero_links"]:
+        d, length = link["diameter"], link["length"]
+        disc = 0.25 * math.pi * d * d
+        area += disc if link.get("is_sphere") else math.hypot(d * length, disc)
+    return area
+
+
+def forearm_offset() -> float:
+    """Return the distance of an arm jet's axis from the origin of the elbow [m].
+
+    Joint angles do not matter, since a fixed joint of the URDF attaches the jet to the body that the elbow moves.
+    """
+    jet = next(jet for jet in robot()["jets"] if jet["name"].startswith("l_arm"))
+    _, (rotation, position) = rust.Robot(ROBOT).links()[jet["frame"]]
+    return float(np.linalg.norm(np.cross(position, rotation @ np.array(jet["axis"]))))
+
+
+def jets() -> Measured:
+    """Measure the robot's mass, thrusts and engines."""
+    known, engines = robot()["jets"], robot()["engines"]
+    chest = [jet["thrust_max"] for jet in known if "chest" in jet["name"]]
+    large = next(jet for jet in known if jet["engine"] == "P220")
+    steady = {name: steady_thrust(engines[name], 100.0) for name in ("P100", "P160", "P220")}
+    burnt = table("tables/fuel.toml")[large["name"]]["consumption"][1]
+    return one(
+        mass=rust.Robot(str(ROBOT)).mass,
+        chest_jets=len(chest),
+        chest=sum(chest),
+        chest_kg=sum(chest) / GRAVITY,
+        chest_jet_kg=max(chest) / GRAVITY,
+        limit=large["thrust_max"],
+        limit_kg=large["thrust_max"] / GRAVITY,
+        **steady,
+        P220_kg=steady["P220"] / GRAVITY,
+        burnt=burnt,
+        burnt_more=100.0 * (burnt / 0.6 - 1.0),
+        arm_engines=", ".join(sorted({jet["engine"] for jet in known if "arm" in jet["name"]})),
+    )
+
+
+def forearm() -> Measured:
+    """Measure stresses of the interfaces, and the diameter of a bar with the stress that the paper gives."""
+    thrust = max(jet["thrust_max"] for jet in robot()["jets"] if "arm" in jet["name"])
+    offset, stress = forearm_offset(), STRESSES["forearm"]
+    # σ = M / W with W = π d³/32 of a solid round bar, and M = T a with the arm a of the thrust about the elbow's axis.
+    diameter = (32.0 * thrust * offset / (math.pi * 1e6 * stress)) ** (1.0 / 3.0)
+    factors = {part: ERGAL_STRENGTH / value for part, value in STRESSES.items()}
+    return one(
+        thrust=thrust,
+        arm_mm=1e3 * offset,
+        moment=thrust * offset,
+        stress=stress,
+        diameter_mm=1e3 * diameter,
+        strength=ERGAL_STRENGTH,
+        weakest=min(factors.values()),
+        **factors,
+    )
+
+
+def energy() -> Measured:
+    """Measure battery, in two interpretations, and fuel of the engine choice."""
+    battery = Choice().battery()
+    return one(battery=battery, other=Choice().battery(1.0), off=battery - PAPER_BATTERY, fuel=Choice().fuel())
+
+
+def campaign() -> Measured:
+    """Measure which part of the tunnel's campaign the tables contain, and the numbers of its flow."""
+    found = table("tables/wind_tunnel.toml")
+    tests = [*found["hovering"], *found["flight"]]
+    beta = [angle for test in found["hovering"] for angle in test["beta_deg"]]
+    alpha = [angle for test in found["flight"] for angle in test["alpha_deg"]]
+    section, sizes = TUNNEL_SECTION[0] * TUNNEL_SECTION[1], [link["diameter"] for link in robot()["aero_links"]]
+    low, high = (AIR_DENSITY * TUNNEL_SPEED * size / AIR_VISCOSITY for size in (min(sizes), max(sizes)))
+    fastest = max(test["speed"] for test in found["hovering"])
+    taps = table("tables/pressure_taps.toml")["mk1"]
+    return one(
+        points=sum(len(test["cda"]) for test in tests),
+        tests=len(tests),
+        angles=[min(beta), max(beta), min(alpha), max(alpha)],
+        area=silhouette(),
+        section=section,
+        blocked=100.0 * silhouette() / section,
+        reynolds_low=low,
+        reynolds_high=high,
+        speed=TUNNEL_SPEED,
+        fastest=fastest,
+        mach=fastest / SPEED_OF_SOUND,
+        density=50.0 * (fastest / SPEED_OF_SOUND) ** 2,
+        taps=len(taps),
+        placed=sum("position" in tap for tap in taps.values()),
+        taps_missing=124 - len(taps),
+    )
+
+
+def simulations() -> Measured:
+    """Measure what is printed of the CFD: turbulence at the boundary, number of simulations, cells."""
+    k, epsilon, omega = 2.89e-6, 0.0236e-6, 8.17
+    known = table("tables/postures.toml")
+    sizes = sorted({run["elements"] for run in table("tables/cfd_tunnel.toml")["run"]})
+    return one(
+        rate=epsilon / k,
+        factor=omega * k / epsilon,
+        intensity=100.0 * math.sqrt(2.0 * k / 3.0) / TUNNEL_SPEED,
+        speed=TUNNEL_SPEED,
+        count=24 * 19 * 18,
+        thirty=30 * 19 * 18,
+        fitted=len(known["free_stream"]),
+        others=len(known["listed"]) + len(known["rest"]),
+        reduction=100.0 * (1.0 - 0.33 / 9.53),
+        sizes=", ".join(f"{size:.2g}" for size in sizes),
+    )
+
+
+def network() -> Measured:
+    """Measure size and errors of the network [m⁴], beside the axisymmetric model, and of its coefficients."""
+    training = json.loads(NETWORK.read_text(encoding="utf-8"))["training"]
+    errors, baselines = training["errors"], training["baselines"]
+    random, grouped = (errors[split]["mse"] for split in ("random", "grouped"))
+    axisymmetric = baselines["grouped"]["axisymmetric, signed"]
+    hidden, sets = table("training/paper.toml")["network"]["hidden"], robot()["coefficients"]
+    printed, refit = (sets[name]["head"]["cda"][4] for name in ("published", "refit"))
+    return one(
+        random=random,
+        random_times=random / 3e-6,
+        nearest=baselines["random"]["nearest"],
+        grouped=grouped,
+        grouped_times=grouped / 3e-6,
+        axisymmetric=axisymmetric,
+        ratio=axisymmetric / grouped,
+        hidden=list(hidden),
+        layers=len(hidden),
+        width=hidden[0],
+        families=len(sets["published"]),
+        printed=printed,
+        refit=refit,
+        misprint=max(printed / refit, refit / printed),
+    )
+
+
+def tunnel_speeds(*, slow: bool) -> Measured:
+    """Measure how far drag areas at several speeds differ over the sideslips common to all [%]."""
+    curves = tunnel.hovering_drag(tunnel.read(TUNNEL))
+    common = sorted(set.intersection(*(set(curve) for curve in curves.values())))
+    chosen = [curve for speed, curve in curves.items() if slow or speed > RELIABLE_SPEED]
+    return one(percent=float(_spread([[curve[beta] for beta in common] for curve in chosen]).max()))
+
+
+def tunnel_postures(alpha: int) -> Measured:
+    """Measure how far the drag areas of flight postures differ at an angle of attack [%]."""
+    found = tunnel.read(TUNNEL)["flight"]
+    return one(percent=float(_spread([posture["cda"] for posture in found])[found[0]["alpha_deg"].index(alpha)]))
+
+
+def _spread(values: list[list[float]]) -> tunnel.Array:
+    """Return (largest − smallest)/mean over the rows [%]."""
+    areas = np.array(values)
+    ratio: tunnel.Array = 100.0 * (areas.max(axis=0) - areas.min(axis=0)) / areas.mean(axis=0)
+    return ratio
+
+
+def cfd(turbulence: str = OMEGA, mesh: str = tunnel.FINEST) -> Measured:
+    """Measure the errors of the CFD of flight30 against the tunnel [%]."""
+    record, run = _flight30(mesh, turbulence)
+    keys = ("cda", "cla", "csa")
+    size, measured = (
+        np.linalg.norm([areas(key) for key in keys], axis=0)
+        for areas in (lambda key: run[key], lambda key: tunnel.measured_area(record, key, run))
+    )
+    drag = {model: 100.0 * tunnel.drag_error(*_flight30(tunnel.FINEST, model)) for model in (OMEGA, EPSILON)}
+    worst = np.abs(np.array(run["cda"]) / tunnel.measured_area(record, "cda", run) - 1.0).max()
+    return one(
+        drag=drag[turbulence],
+        above_omega=drag[turbulence] - drag[OMEGA],
+        above_epsilon=drag[turbulence] - drag[EPSILON],
+        size=100.0 * float(np.mean(np.abs(size / measured - 1.0))),
+        worst_drag=100.0 * float(worst),
+    )
+
+
+def _flight30(mesh: str, turbulence: str) -> tuple[tunnel.Table, tunnel.Table]:
+    record = tunnel.flight(tunnel.read(TUNNEL), "flight30")
+    return record, tunnel.run_of(tunnel.read(CFD)["run"], mesh, turbulence)
+
+
+# --- tables of the documentation ------------------------------------------------------------------------------------
+
+
+def links() -> list[list[str]]:
+    """Return the aerodynamic links for Fig. 1, with the sizes of their cylinders or spheres."""
+    return [
+        ["link", "form", "diameter [mm]", "length [mm]", "coefficients of"],
+        *(
+            [
+                link["name"],
+                "sphere" if link.get("is_sphere") else "cylinder",
+                f"{1e3 * link['diameter']:.0f}",
+                f"{1e3 * link['length']:.0f}",
+                link["family"],
+            ]
+            for link in robot()["aero_links"]
+        ),
+    ]
+
+
+def engines() -> list[list[str]]:
+    """Return Suppl. Table 1: data of the identified engines, and their positions."""
+    rows = [["engine", "jets of the published flights", "limit [N]", "rest at 50, 100, 120 % throttle [N]"]]
+    for name, engine in robot()["engines"].items():
+        limits = {jet["name"]: jet["thrust_max"] for jet in robot()["jets"] if jet["engine"] == name}
+        steady = [steady_thrust(engine, throttle) for throttle in (50.0, 100.0, 120.0)]
+        shown = ", ".join("none" if math.isnan(value) else f"{value:.1f}" for value in steady)
+        rows.append([name, ", ".join(limits) or "none", f"{max(limits.values()):.0f}" if limits else "", shown])
+    return rows
+
+
+def coefficients() -> list[list[str]]:
+    """Return Suppl. Table 2: the printed coefficients, and ours from the public table."""
+    rows = [["family", "set", "w₀", "w₁", "w₂", "w₃", "w₄", "w₅"]]
+    sets = robot()["coefficients"]
+    for family in sets["published"]:
+        for name in ("published", "refit"):
+            areas = sets[name][family]
+            rows.append([family, name, *(f"{value:g}" for value in (*areas["cda"], areas["cna"]))])
+    return rows
+
+
+def meshes() -> list[list[str]]:
+    """Return the public part of Suppl. Table 3: sizes of the meshes of flight30."""
+    runs = [run for run in table("tables/cfd_tunnel.toml")["run"] if run["posture"] == "flight30"]
+    rows = [["mesh", "cells", "turbulence models", "attitudes"]]
+    for name in sorted({run["mesh"] for run in runs}):
+        own = [run for run in runs if run["mesh"] == name]
+        models = ", ".join(run["turbulence"] for run in own)
+        rows.append([name, f"{own[0]['elements']:.3g}", models, str(len(own[0]["alpha_deg"]))])
+    return rows

@@ -1,0 +1,347 @@
+"""Measures of results: flights, sweeps and studies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from experiments.battery import PAPER_FUEL
+from experiments.flight import PAPER_RUNS
+from experiments.report.measures import Cases, Measured, one
+from experiments.report.measures.standing import standing
+from experiments.report.results import Cell, Results, count
+from experiments.sweep.criteria import Criterion
+from experiments.sweep.table import wilson
+
+RIGHT, HEAD, PUBLISHED = (
+    "corrected arms, 10 m/s from the side",
+    "corrected arms, 18 m/s from ahead",
+    "published arms, 10 m/s from the side",
+)
+"""Levels of the axis `world` of the ablations, as in configs/sweeps/axes/worlds.toml."""
+
+LEAST_FIRST = (
+    "total moment only",
+    "total force only",
+    "total wrench only",
+    "normal force only",
+    "drag only",
+    "without Λ_a",
+    "without J_aᵀ f_a",
+)
+"""Levels of the ablation of terms, from no feedback to all feedback."""
+
+MOSTLY = 0.95
+"""Share of perturbed repetitions whose interval says whether it is decided that a flight is flown."""
+
+ARMS = {"corrected": "", "published": "_published"}
+"""Suffixes of the names of flights, by lever arms."""
+
+STANDING = ("balancing_front_as_flown", "balancing_lateral_as_flown")
+"""The ground experiments of Fig. 6."""
+
+MOTION_BANDS = {"[mm]": 20.0, "[deg]": 1.0, "[N m]": 1.5, "[s]": 1.0}
+"""Differences of the simulated experiment from the robot's, by unit; equal experiments moved the robot by 31 and 51 mm,
+and its legs by 1.3 N m apart."""
+
+UNITS = {"rotation_error_deg": "°", "com_error": " m", "joint_error_sum_deg": "°"}
+"""Units of quantities, as they follow a number."""
+
+
+def perturbed(results: Results, *, test: str) -> Measured:
+    """Measure a test and its perturbed repetitions, by lever arms."""
+    cells = results.sweep("paper_tests")
+    name = test.upper() if test.startswith("test") else test
+    found = {}
+    for arms, end in ARMS.items():
+        flight, cell = results.flight(test + end), cells.cell(test=f"{name}, {arms} arms")
+        found[arms] = {
+            "ending": flight.ending,
+            "rotation_error": flight.rotation_error,
+            "com_error_cm": 100.0 * flight.com_error,
+            "count": count(cell),
+            "share": cell["completed"] / cell["flights"],
+            "low": cell["completed_low"],
+            "high": cell["completed_high"],
+            "is_decided": not cell["completed_low"] < MOSTLY < cell["completed_high"],
+        }
+    return Measured(found)
+
+
+def joint_errors(results: Results) -> Measured:
+    """Measure the sums of joint errors of TEST2, and of TEST1 until it falls [deg]."""
+    (most, end), (most_fallen, end_fallen) = (
+        results.flight(name).joint_errors for name in ("test2", "test1_published")
+    )
+    return one(
+        most=most,
+        end=end,
+        rest=end / most,
+        most_fallen=most_fallen,
+        end_fallen=end_fallen,
+        rest_fallen=end_fallen / most_fallen,
+    )
+
+
+def force_angle(results: Results) -> Measured:
+    """Measure the angle between total force and relative wind [deg]."""
+    median, greatest = results.flight("test2").force_angle
+    return one(median=median, greatest=greatest)
+
+
+def asymmetry(results: Results) -> Measured:
+    """Measure how much more left and right thrusts differ with side wind than without [N]."""
+    wind, still = (results.flight(name).asymmetry for name in ("test2", "no_wind"))
+    return one(arms=wind[0], chest=wind[1], still_arms=still[0], still_chest=still[1], ratio=max(wind) / max(still))
+
+
+def thrusts(results: Results) -> Measured:
+    """Measure the range of thrusts with two models in the simulator [N]."""
+    axisymmetric, network = (results.flight(name).thrust for name in ("test2", "test4"))
+    apart = max(abs(one - other) for one, other in zip(axisymmetric, network, strict=True))
+    return one(low=axisymmetric[0], high=axisymmetric[1], low4=network[0], high4=network[1], apart=apart)
+
+
+def transitions(results: Results) -> Measured:
+    """Measure when the models of simulator and controller differ most."""
+    found = {}
+    for arms, end in ARMS.items():
+        difference, time, force = results.flight(f"robustness{end}").force_difference
+        found[arms] = {"difference": difference, "time": time, "force": force}
+    return Measured(found)
+
+
+def model_pairs(results: Results) -> Measured:
+    """Count the winds flown on course with the simulator's model, another, none, and none but an observer."""
+    sweep = results.sweep("model_pairs")
+    worlds, found = sweep.levels("world"), {}
+    for arms in sweep.levels("arms"):
+        cells = sweep.select(arms=arms)
+        kinds = {
+            "the simulator's model": [cell for cell in cells if cell["model"] == cell["world"]],
+            "another model": [cell for cell in cells if cell["model"] in worlds and cell["model"] != cell["world"]],
+            "no model": [cell for cell in cells if cell["model"] == "none"],
+            "no model, observer": [cell for cell in cells if cell["model"] == "observer, no model"],
+        }
+        counts = {name: (sum(c["on_course"] for c in own), len(own)) for name, own in kinds.items()}
+        part, whole = counts["another model"]
+        said = ", ".join(f"{name} {n} of {m}" for name, (n, m) in counts.items())
+        found[arms] = {"counts": said, "share": part / whole}
+    return Measured(found)
+
+
+def lambda_term(results: Results) -> Measured:
+    """Measure the ablation of the change of aerodynamic forces, by world [deg]."""
+    cells, found = results.sweep("ablation_terms"), {}
+    for world in (RIGHT, HEAD, PUBLISHED):
+        whole, without = (
+            cells.cell(world=world, feedback=level)["rotation_error_deg_median"]
+            for level in ("everything", "without Λ_a")
+        )
+        found[world] = {"whole": whole, "without": without, "change": abs(whole - without)}
+    return Measured(found)
+
+
+def minimum(results: Results) -> Measured:
+    """Answer which is the least aerodynamic information with which the robot still flies.
+
+    A level is as good as all feedback in a world if its success rate reaches the lower end of the latter's interval.
+    """
+    cells = results.sweep("ablation_terms")
+    worlds = cells.levels("world")
+
+    def equal_feedbacks(what: str) -> list[str]:
+        good = []
+        for feedback in cells.levels("feedback"):
+            pairs = [
+                (cells.cell(world=w, feedback=feedback), cells.cell(world=w, feedback="everything")) for w in worlds
+            ]
+            if all(cell[what] >= whole[f"{what}_low"] * cell["flights"] for cell, whole in pairs):
+                good.append(feedback)
+        return good
+
+    def tabulate(level: str, quantity: str, form: str) -> str:
+        return ", ".join(format(cells.cell(world=w, feedback=level)[f"{quantity}_median"], form) for w in worlds)
+
+    completes, stays = equal_feedbacks("completed"), equal_feedbacks("on_course")
+    only = {name: f"total {name} only" for name in ("moment", "force")}
+    return one(
+        least=next((name for name in LEAST_FIRST if name in stays), "nothing short of everything"),
+        stays=", ".join(stays),
+        completes=", ".join(completes),
+        **{f"{name}_rotation": tabulate(level, "rotation_error_deg", ".0f") for name, level in only.items()},
+        **{f"{name}_com": tabulate(level, "com_error", ".2f") for name, level in only.items()},
+    )
+
+
+def ground(results: Results) -> Measured:
+    """Measure the ground experiments, in frontal wind along x and in lateral wind along y."""
+    found = ((name, axis, results.flight(name)) for axis, name in enumerate(STANDING))
+    return Measured({name: standing(flight.run, *flight.stood, axis) for name, axis, flight in found})
+
+
+def leg(results: Results, *, of: str) -> Measured:
+    """Measure the motion of the left leg in one of the ground experiments."""
+    return one(**ground(results).cases[of])
+
+
+def mission_fuel(results: Results) -> Measured:
+    """Measure the fuel of five minutes at the mean rate of a flight [kg]."""
+    flown = results.study("along", "flights")["no_wind"]
+    mass = flown["five_minutes_kg"]
+    return one(mass=mass, litres=flown["fuel_l"], off=mass - PAPER_FUEL)
+
+
+def arm_engines(results: Results) -> Measured:
+    """Measure flights with either engine in the arms."""
+    found = results.study("arm_engines", "paper")
+    weak = {name.removesuffix(" P100"): cell for name, cell in found.items() if name.endswith("P100")}
+    strong = {name: found[f"{name} P160"] for name in weak}
+    return Measured(
+        {
+            name: cell
+            | {
+                "outcome": cell["outcome"].replace("_", " "),
+                "other": strong[name]["rotation_error"],
+                "is_alike": cell["outcome"] == strong[name]["outcome"],
+            }
+            for name, cell in weak.items()
+        }
+    )
+
+
+def clearance(results: Results) -> Measured:
+    """Measure the least distance of the exhausts from the body [mm]; `paper` is that of the paper's flights alone."""
+    found = {name: figures["clearance_mm"] for name, figures in results.study("along", "flights").items()}
+    asked = {name: {"paper": found[name]} for name in PAPER_RUNS}
+    return Measured({name: {"clearance": mm, **asked.get(name, {})} for name, mm in found.items()})
+
+
+def recorded_commands(results: Results) -> Measured:
+    """Measure the differences of the standing robot's commands from the recorded ones."""
+    runs = [results.study("standing", name) for name in ("front", "lateral")]
+
+    def greatest(variant: str, figure: str) -> float:
+        return float(max(run[f"{variant}: desired {figure}"] for run in runs))
+
+    variants = {"flown": "as flown", "right": "right"}
+    return one(
+        **{f"torques_{name}": greatest(of, "torques, rms [N m]") for name, of in variants.items()},
+        **{f"forces_{name}": greatest(of, "foot forces, rms [N]") for name, of in variants.items()},
+    )
+
+
+def recorded_motion(results: Results) -> Measured:
+    """Measure motion and torques of the simulated experiment beside those of the robot."""
+    texts, wrong = [], []
+    for name in ("front", "lateral"):
+        found = results.study("standing", name)
+        figures = [key.removeprefix("recorded: ") for key in found if key.startswith("recorded: ")]
+        pairs = {figure: (found[f"simulated: {figure}"], found[f"recorded: {figure}"]) for figure in figures}
+        texts += [f"{name}: " + ", ".join(f"{key} {ours:.1f} ({robot:.1f})" for key, (ours, robot) in pairs.items())]
+        bands = {figure: MOTION_BANDS[figure[figure.rindex("[") :]] for figure in figures}
+        wrong += [f"{name}: {key}" for key, (ours, robot) in pairs.items() if not abs(ours - robot) <= bands[key]]
+    return one(text="; ".join(texts), wrong=", ".join(wrong))
+
+
+def wake(results: Results) -> Measured:
+    """Measure the flow around the robot on the mesh of the recipe."""
+    found = results.study("cfd_flow", "flight30")
+    part = 100.0 * found["part of the wake in the plane where that is above 100"]
+    return one(
+        pressure=100.0 * found["pressure share of the force"],
+        greatest=found["turbulent over molecular viscosity, largest in the plane"],
+        part=part,
+        rest=100.0 - part,
+    )
+
+
+def wake_meshes(results: Results) -> Measured:
+    """Measure the change of the wake between the meshes."""
+    meshes = [results.study("cfd_flow", name) for name in ("flight30_coarse", "flight30", "flight30_fine")]
+    areas = [mesh["wake in the plane, slower than half the wind [m2]"] for mesh in meshes]
+    return one(
+        cells=", ".join(f"{1e-3 * mesh['cells']:.0f}" for mesh in meshes),
+        areas=", ".join(f"{area:.2f}" for area in areas),
+        change=100.0 * (areas[1] / areas[2] - 1.0),
+    )
+
+
+def wind_estimate(results: Results) -> Measured:
+    """Measure the wind estimated from the wrench, by world."""
+    found = results.study("wind_observer", "turbulence")
+    worlds: dict[str, list[Mapping[str, float]]] = {}
+    for name, figures in found.items():
+        worlds.setdefault(name.rpartition(", ")[0], []).append(figures)
+    speeds = [name.rpartition(", ")[2].removesuffix(" m/s") for name in found]
+    cases = {}
+    for world, cells in worlds.items():
+        rms, inside = ([cell[key] for cell in cells] for key in ("rms", "inside"))
+        cases[world] = {
+            "speeds": f"{speeds[0]} to {speeds[-1]}",
+            "rms_least": min(rms),
+            "rms": max(rms),
+            "inside_least": 100.0 * min(inside),
+            "inside": 100.0 * max(inside),
+        }
+    return Measured(cases)
+
+
+# --- claims in the files of sweeps ----------------------------------------------------------------------------------
+
+
+def cells(results: Results, *, name: str, claim: Criterion) -> Measured:
+    """Measure what a sweep has for the claim in its file."""
+    sweep = results.sweep(name)
+    return of_cells([cell for cell in sweep.cells if claim.covers(cell)], sweep.axes, claim)
+
+
+def of_cells(cells: list[Cell], axes: Iterable[str], claim: Criterion) -> Measured:
+    """Return flights that end otherwise and bounded quantities of the cells that decide a claim, by cell."""
+    if not cells:
+        raise LookupError(f"no cell of the claim `{claim.key}`")
+    if claim.share is not None:
+        part, whole = (
+            sum(int(cell[key]) for cell in cells for key in keys) for keys in ((claim.share.of,), claim.share.among)
+        )
+        text = f"{claim.share.of} {_interval(part, whole)}"
+        return Measured({text: {"above": part - claim.share.at_most * whole}}, text)
+    varying = [axis for axis in axes if len({cell[axis] for cell in cells}) > 1]
+    ended, flights = (sum(int(cell[key]) for cell in cells for key in keys) for keys in (claim.outcomes, ("flights",)))
+    said = [f"{_interval(ended, flights)} {' or '.join(claim.outcomes)}", *_ranges(cells, claim.at_most)]
+    return Measured(dict(_by_cell(cells, varying, claim)), "; ".join(said))
+
+
+def _by_cell(cells: list[Cell], varying: list[str], claim: Criterion) -> Iterator[tuple[str, dict[str, Any]]]:
+    for cell in cells:
+        levels = [f"{cell[axis]:g}" if isinstance(cell[axis], float) else str(cell[axis]) for axis in varying]
+        others = cell["flights"] - sum(int(cell[outcome]) for outcome in claim.outcomes)
+        missed = f"{others} of {cell['flights']} not {' or '.join(claim.outcomes)}"
+        limited = {} if others else {column: cell[column] for column in claim.at_most}
+        texts = {f"{column}_text": _value(column, value) for column, value in limited.items()}
+        yield ", ".join(levels), {"others": others, "missed": missed, **limited, **texts}
+
+
+def _interval(part: int, whole: int) -> str:
+    low, high = (100.0 * end for end in wilson(part, whole))
+    return f"{part} of {whole} ({low:.1f} to {high:.1f} %)"
+
+
+def _ranges(cells: list[Cell], columns: Iterable[str]) -> Iterator[str]:
+    """Yield the medians of the greatest rotation errors, the greatest, and the ranges of other columns."""
+    medians, worst = (
+        [cell[f"rotation_error_deg_{end}"] for cell in cells if cell[f"rotation_error_deg_{end}"] is not None]
+        for end in ("median", "worst")
+    )
+    if worst:
+        ends = dict.fromkeys(f"{end:.1f}" for end in (min(medians), max(medians)))
+        yield f"rotation error in the median {' to '.join(ends)}°, at most {max(worst):.1f}°"
+    for column in columns:
+        if not column.startswith("rotation_error_deg"):
+            yield f"{column.replace('_', ' ')} {_value(column, max(cell[column] for cell in cells))}"
+
+
+def _value(column: str, value: float) -> str:
+    unit = next((unit for name, unit in UNITS.items() if column.startswith(name)), "")
+    return f"{value:.{1 if unit == '°' else 3}f}{unit}" if unit else f"{value:g}"
