@@ -15,7 +15,7 @@ from mkdocs.structure.files import File
 from mkdocs.utils import get_relative_url
 
 from experiments import schema, studies
-from experiments.report import kept, paper_page
+from experiments.report import command, kept
 from experiments.sweep import columns
 from jax_aero import rust
 
@@ -103,7 +103,7 @@ def pictures() -> list[Path]:
 
 def generated() -> dict[str, str]:
     """Return the pages that are not stored, by path."""
-    pages = {"paper.md": paper_page.page(), schema.PAGE: schema.reference(rust.schemas()), columns.PAGE: columns.page()}
+    pages = {"paper.md": command.index(), schema.PAGE: schema.reference(rust.schemas()), columns.PAGE: columns.page()}
     rows = [f"| [{name}]({name}.md) | {studies.about(name)} |" for name in studies.names()]
     pages["studies/index.md"] = "\n".join(
         ["# Studies", "", INDEX, "", "| `jax-aero study` | answers |", "|---|---|", *rows, ""]

@@ -27,7 +27,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.report import findings, kept
+from experiments.report import judge, kept
 from jax_aero import rust
 from jax_aero.base import places
 
@@ -268,7 +268,7 @@ def value(cell: str) -> Value:
 
 def _text(words: re.Match[str]) -> str:
     if words["source"] == "claims":
-        claims = findings.read(ROOT / "docs/claims.json")
+        claims = judge.read(ROOT / "docs/claims.json")
         if (key := _last(words["keys"])) not in claims:
             raise Wrong("names no claim")
         return claims[key].measured

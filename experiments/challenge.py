@@ -57,8 +57,7 @@ def main(arguments: Sequence[str]) -> int:
             if level is not None
         }
         document = beside(name, flown, times(levels))
-        shown = kept.table(document)
-        print(text_table([shown.headings, *(list(map(str, row)) for row in shown.rows)]))
+        print(text_table(kept.table(document)))
         folder = (given.out or places.RESULTS / "challenge") / name
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / f"{name}.json", kept.to_json(document))

@@ -27,7 +27,7 @@ HEADINGS = (
 
 def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
     """Return one line per flight: outcome, time and reason of a loss, largest errors, thrust range."""
-    return text_table([HEADINGS, *(_row(manifest) for manifest in manifests)])
+    return text_table([HEADINGS, *(outcome_row(manifest) for manifest in manifests)])
 
 
 def text_table(rows: Rows) -> str:
@@ -36,8 +36,10 @@ def text_table(rows: Rows) -> str:
 
 
 def markdown_table(rows: Rows) -> str:
-    """Return rows as a table of Markdown."""
-    return _tabulate([[cell.replace("|", "\\|") for cell in row] for row in rows], "github")
+    """Return rows as a table of Markdown, not padded: one number that changes is one row that changes."""
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in rows]
+    text: str = _frame(cells).to_markdown(index=False, tablefmt="github", disable_numparse=True)
+    return re.sub(r"(?<= ) +|(?<=---)-+", "", text)
 
 
 def csv_table(rows: Rows) -> str:
@@ -99,7 +101,8 @@ FORMATS: Mapping[str, Callable[[Rows], str]] = {"text": text_table, "csv": csv_t
 """Formats of a printed table, as `--table` names them."""
 
 
-def _row(manifest: Mapping[str, Any]) -> Sequence[str]:
+def outcome_row(manifest: Mapping[str, Any]) -> Sequence[str]:
+    """Return the cells of a flight, below `HEADINGS`."""
     summary = manifest["summary"]
     rotation, com = summary.get("max_rotation_error"), summary.get("max_com_error")
     outcome = ending(manifest["outcome"], manifest["lost_time"], manifest["lost_reason"])

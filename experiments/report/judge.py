@@ -62,6 +62,8 @@ class Verdict(msgspec.Struct, frozen=True):
 
 
 AGREES, NOT_FLOWN, OUTDATED = map(Verdict.of, (Kind.AGREES, Kind.NOT_FLOWN, Kind.OUTDATED))
+
+
 class Bound(tables.Table, frozen=True):
     """What a value has to be, in every case that has it."""
 
@@ -186,7 +188,9 @@ class Claim(tables.Table, frozen=True):
 
 def of_sweep(name: str, claim: Criterion) -> Claim:
     """Return the claim in the file of a sweep."""
-    limits = [Bound(of=column, most=limit, how=f"{{case}}: {{{column}_text}}") for column, limit in claim.at_most.items()]
+    limits = [
+        Bound(of=column, most=limit, how=f"{{case}}: {{{column}_text}}") for column, limit in claim.at_most.items()
+    ]
     ended = Bound(of="others", most=0, how="{case}: {missed}")
     asks = [Bound(of="above", most=0, how="{case}")] if claim.share is not None else [ended, *limits]
     return Claim(

@@ -18,13 +18,10 @@ import numpy as np
 import pandas as pd
 
 from experiments import Refused, backends, outdated
-from experiments.report import kept, pictures
-from experiments.report.findings import ANOTHER, Finding
-from experiments.report.judges import sweeps
+from experiments.report import judge, kept, pictures
 from experiments.report.kept import ALL, Axis, Kept
-from experiments.report.results import Results
+from experiments.report.results import ANOTHER, Results
 from experiments.sweep import run, spec, table
-from experiments.sweep.criteria import Criterion
 from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
 from jax_aero.base import documents, places
@@ -145,7 +142,8 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     firsts = list(_firsts(Design(asked), flights)) if asked else []  # others cannot be flown again
     flights = flights[flights["outcome"] != "error"]
     rows = list(_rows(flights, axes, (whole[0].name, whole[1].name) if is_paired else None))
-    found = _findings(folder, asked.claim) if asked else {}
+    judged = {claim.key: judge.of_sweep(folder.name, claim) for claim in (asked.claim if asked else ())}
+    results = Results(folder.parents[1])
     return Kept(
         name=named or folder.name,
         result=f"sweeps/{folder.name}",
@@ -167,8 +165,8 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
         columns=[*(axis.name for axis in axes), *FIGURES],
         rows=[[*levels, *_shorten(list(figures.values()))] for levels, figures in rows],
         firsts=firsts,
-        claims=found,
-        states={claim.key: claim.states for claim in asked.claim} if asked else {},
+        claims={key: judge.Finding(*claim.decide(results)) for key, claim in judged.items()},
+        states={key: claim.states for key, claim in judged.items()},
     )
 
 
@@ -193,11 +191,6 @@ def _each(document: Mapping[str, Any]) -> str:
     repeats = document["repeats"]
     perturbed = "perturbed" if any(document["perturbation"].values()) else "unperturbed"
     return f"{'one' if repeats == 1 else repeats} in each cell, {perturbed}"
-
-
-def _findings(folder: Path, asked: Sequence[Criterion]) -> dict[str, Finding]:
-    results = Results(folder.parents[1])
-    return {claim.key: Finding(*sweeps.decide(results, name=folder.name, claim=claim)) for claim in asked}
 
 
 def _rows(

@@ -16,8 +16,8 @@ from typing import Any
 import msgspec
 
 from experiments import Refused
-from experiments.report.findings import Finding
-from experiments.report.page import Heading, Mark, Page, Picture, Table, Text
+from experiments.report.judge import Finding
+from experiments.report.page import markdown
 from experiments.sweep.intervals import wilson
 from jax_aero.base import places
 from jax_aero.base.files import read_json
@@ -128,40 +128,28 @@ def to_json(kept: Kept) -> str:
 
 def pages() -> dict[Path, str]:
     """Return the pages of all kept results, and the page that lists them, by path."""
-    listed = Page("Kept results")
     rows = [(f"[{kept.name}]({kept.name}.md)", kept.title, _made(kept)) for kept in map(read, names())]
-    listed.add(
-        Text(
-            "Results that the documentation speaks of: figures, picture, and how each was made. "
-            "`jax-aero report keep NAME` writes one; nothing here is written by hand."
-        ),
-        Table(("result", "shows", "made"), rows),
+    listed = {FOLDER / f"{INDEX}.md": markdown("kept_index.md", rows=rows)}
+    return listed | {FOLDER / f"{name}.md": page(read(name)) for name in names()}
+
+
+def page(kept: Kept) -> str:
+    """Return the page of a kept result, as Markdown."""
+    flown = table(kept) if kept.rows else [[]]
+    counted = ", ".join(f"{number} {outcome.replace('_', ' ')}" for outcome, number in kept.outcomes.items() if number)
+    picture = f"{kept.name}.webp"
+    return markdown(
+        "kept.md",
+        kept=kept,
+        outcomes=f"{sum(kept.outcomes.values())} flights ({kept.each}): {counted}.",
+        flown=flown,
+        legend=_legend(kept, flown[0]),
+        summary=list(_summary(kept.summary)),
+        claims=[(kept.states[key], one.measured, f"**{one.verdict}**") for key, one in kept.claims.items()],
+        picture=picture if (FOLDER / picture).is_file() else "",
+        made=_made(kept),
+        again=f"The first flight of each cell: {kept.firsts_flown}." if kept.firsts_flown else "",
     )
-    found = {FOLDER / f"{INDEX}.md": listed.markdown()}
-    return found | {FOLDER / f"{name}.md": page(read(name)).markdown() for name in names()}
-
-
-def page(kept: Kept) -> Page:
-    """Return the page of a kept result."""
-    shown = Page(kept.title)
-    if kept.about:
-        shown.add(Text(kept.about))
-    if kept.rows:
-        flown = table(kept)
-        shown.add(Text(_outcomes(kept)), flown, Text(_legend(kept, flown.headings)))
-    if kept.summary is not None:
-        shown.add(*_summary(kept.summary))
-    if kept.claims:
-        rows = [
-            (kept.states[key], finding.measured, Mark(str(finding.verdict), finding.verdict.tone))
-            for key, finding in kept.claims.items()
-        ]
-        shown.add(Heading(2, "Claims"), Table(("claim", "measured", "verdict"), rows))
-    if (FOLDER / f"{kept.name}.webp").is_file():
-        shown.add(Picture(f"{kept.name}.webp", kept.title))
-    again = f" The first flight of each cell: {kept.firsts_flown}." if kept.firsts_flown else ""
-    shown.add(Heading(2, "How it was made"), Text(f"`{kept.command}`; {_made(kept)}.{again}"))
-    return shown
 
 
 def _made(kept: Kept) -> str:
@@ -171,13 +159,8 @@ def _made(kept: Kept) -> str:
     return f"{kept.created[:10]}{commit}{seed}"
 
 
-def _outcomes(kept: Kept) -> str:
-    counted = ", ".join(f"{number} {outcome.replace('_', ' ')}" for outcome, number in kept.outcomes.items() if number)
-    return f"{sum(kept.outcomes.values())} flights ({kept.each}): {counted}."
-
-
-def table(kept: Kept) -> Table:
-    """Return the table of a sweep: one quantity a column, without those that no row has."""
+def table(kept: Kept) -> list[list[str]]:
+    """Return the table of a sweep, headings first: one quantity a column, without those that no row has."""
     axes = sorted(kept.axes, key=lambda axis: axis.name == kept.panels)
     found = {tuple(row[axis.name] for axis in axes): row for row in kept.table()}
     shown = [levels for levels in itertools.product(*(axis.levels for axis in axes)) if levels in found]
@@ -185,7 +168,7 @@ def table(kept: Kept) -> Table:
     held = {heading: cells for heading, cells in columns.items() if any(cells)}
     labels = [_labels(axes, levels, before) for before, levels in zip([(), *shown], shown, strict=False)]
     rows = [[*label, *cells] for label, *cells in zip(labels, *held.values(), strict=True)]
-    return Table([*(axis.label for axis in axes), *held], rows)
+    return [[*(axis.label for axis in axes), *held], *rows]
 
 
 def _labels(axes: Sequence[Axis], levels: Sequence[Any], before: Sequence[Any]) -> list[str]:
@@ -196,7 +179,6 @@ def _labels(axes: Sequence[Axis], levels: Sequence[Any], before: Sequence[Any]) 
     return [""] * same + [axis.show(level) for axis, level in zip(axes[same:], levels[same:], strict=True)]
 
 
-Quantity = Callable[[Mapping[str, Any]], str]
 SHARE = "share [%]"
 EXPLAINED = {
     SHARE: "Share: of flights that completed or descended, with its Wilson 95 % interval.",
@@ -205,32 +187,34 @@ EXPLAINED = {
     "announced before [s]": "Announced before: median time from the first mode to the loss.",
     "modes": "Modes: those of at least half of the flights.",
 }
+Quantity = Callable[[Mapping[str, Any]], str]
+COUNTS: dict[str, Quantity] = {
+    "flights": lambda row: str(row["flights"] or ""),
+    "completed": lambda row: str(row["completed"]),
+    "descended": lambda row: str(row["descended"] or ""),
+    "descending": lambda row: str(row.get("descending") or ""),
+    "off course": lambda row: str(row.get("off_course") or ""),
+    "crashed": lambda row: str(row.get("crashed") or ""),
+    "fell": lambda row: str(row["lost"] - row.get("crashed", 0) or ""),
+}
+SHOWN: dict[str, dict[str, Quantity]] = {
+    "share": {SHARE: lambda row: _share(row)},
+    "errors": {
+        "rotation error [°]": lambda row: _number(row["rotation_deg_median"]),
+        "at most [°]": lambda row: _number(row["rotation_deg_worst"]),
+        "position error [cm]": lambda row: _number(row["com_cm_median"]),
+        "at most [cm]": lambda row: _number(row["com_cm_worst"]),
+    },
+    "found": {"found after [s]": lambda row: _number(row["found_s"]) if 2 * row["degraded"] >= row["flights"] else ""},
+    "announced": {"announced before [s]": lambda row: _number(row["announced_s"])},
+    "modes": {"modes": lambda row: " ".join(f"`{name}`" for name, bit in MODES.items() if row["modes"] & bit)},
+}
+"""Quantities by their headings, those of every table and others."""
 
 
 def _quantities(kept: Kept) -> dict[str, Quantity]:
     """Return what a table shows of a row, by heading."""
-
-    def count(name: str) -> Quantity:
-        return lambda row: str(row.get(name) or ("0" if name == "completed" else ""))
-
-    def number(name: str) -> Quantity:
-        return lambda row: _number(row[name])
-
-    counts = ("flights", "completed", "descended", "descending", "off_course", "crashed")
-    found: dict[str, Quantity] = {name.replace("_", " "): count(name) for name in counts}
-    found["fell"] = lambda row: str(row["lost"] - row.get("crashed", 0) or "")
-    if "share" in kept.shows:
-        found[SHARE] = _share
-    if "errors" in kept.shows:
-        found |= {"rotation error [°]": number("rotation_deg_median"), "at most [°]": number("rotation_deg_worst")}
-        found |= {"position error [cm]": number("com_cm_median"), "at most [cm]": number("com_cm_worst")}
-    if "found" in kept.shows:
-        found["found after [s]"] = lambda row: _number(row["found_s"]) if 2 * row["degraded"] >= row["flights"] else ""
-    if "announced" in kept.shows:
-        found["announced before [s]"] = number("announced_s")
-    if "modes" in kept.shows:
-        found["modes"] = lambda row: " ".join(f"`{name}`" for name, bit in MODES.items() if row["modes"] & bit)
-    return found
+    return COUNTS | {name: of for shown, own in SHOWN.items() if shown in kept.shows for name, of in own.items()}
 
 
 def _share(row: Mapping[str, Any]) -> str:
@@ -255,31 +239,28 @@ def _legend(kept: Kept, headings: Sequence[str]) -> str:
     return " ".join(said)
 
 
-def _summary(summary: Any) -> Iterator[Text | Table]:
+def _summary(summary: Any) -> Iterator[str | list[Sequence[str]]]:
     """Yield a text as it is, and figures as tables: one of plain ones, one for cases with the same figures.
 
     The cases of a study are nested tables, or the first part of the names: `fine mesh: drag [m2]`.
     """
     if isinstance(summary, str):
-        yield Text(summary)
+        yield summary
         return
-    plain: dict[str, Any] = {}
-    cases: dict[str, dict[str, Any]] = {}
-    for key, value in summary.items():
-        case, separator, figure = str(key).rpartition(": ")
+    cases: dict[str, dict[str, Any]] = {"": {}}
+    for key, value in (summary or {}).items():
         if isinstance(value, Mapping):
             cases.setdefault(str(key), {}).update(value)
-        elif separator:
-            cases.setdefault(case, {})[figure] = value
         else:
-            plain[str(key)] = value
-    if plain:
-        yield Table(("figure", "value"), [(key, _plain(value)) for key, value in plain.items()])
+            case, _, figure = str(key).rpartition(": ")
+            cases.setdefault(case, {})[figure] = value
+    if plain := cases.pop(""):
+        yield [("figure", "value"), *((key, _plain(value)) for key, value in plain.items())]
     by_figures: dict[tuple[str, ...], list[str]] = {}
     for case, figures in cases.items():
         by_figures.setdefault(tuple(figures), []).append(case)
     for columns, names in by_figures.items():
-        yield Table(("case", *columns), [(case, *map(_plain, cases[case].values())) for case in names])
+        yield [("case", *columns), *((case, *map(_plain, cases[case].values())) for case in names)]
 
 
 def _plain(value: Any) -> str:

@@ -28,7 +28,7 @@ from traitlets.config import Config
 import jax_aero
 from docs import hooks, ties
 from experiments import overrides, studies
-from experiments.report.page import Page, Table, Text
+from experiments.report.page import table, to_html
 from experiments.robot import waypoints
 from experiments.sweep import spec
 from experiments.sweep.design import Design
@@ -462,11 +462,9 @@ def test_pages_fit_the_screen(site):
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 def test_a_report_fits_a_telephone_in_light_and_in_the_dark(tmp_path):
     pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
-    page = Page("Report")
-    page.add(
-        Text("text " * 30), Table([f"heading {n}" for n in range(12)], [["`jax-aero fly test2`", *["0.001"] * 11]])
-    )
-    (tmp_path / "report.html").write_text(page.html(tmp_path), encoding="utf-8")
+    rows = table([["`jax-aero fly test2`", *["0.001"] * 11]], *(f"heading {n}" for n in range(12)))
+    page = f"# Report\n\n{'text ' * 30}\n\n{rows}\n"
+    (tmp_path / "report.html").write_text(to_html(page, tmp_path), encoding="utf-8")
     brightness = (
         """of => getComputedStyle(document.body)[of].match(/\\d+/g).slice(0, 3).map(Number).reduce((a, b) => a + b)"""
     )

@@ -7,7 +7,7 @@ import pytest
 
 from docs import gallery, ties
 from experiments import generated
-from experiments.report import findings, kept, paper_page, pictures
+from experiments.report import command, judge, kept, pictures
 from jax_aero import rust
 from jax_aero.base import places
 from paper_figs.figures import FIGURES
@@ -73,7 +73,7 @@ WITHOUT_COMMIT = {"cfd_mk3_fit", "cfd_mk3_meshes", "cfd_mk3_primitives", "cfd_mk
 def test_kept_results_and_claims_name_a_commit_that_a_clone_has():
     commits = {name: kept.read(name).commit for name in kept.names()}
     assert {name for name, commit in commits.items() if commit is None} == WITHOUT_COMMIT
-    commits |= {claim: finding.commit for claim, finding in findings.read(paper_page.CLAIMS).items()}
+    commits |= {claim: finding.commit for claim, finding in judge.read(command.CLAIMS).items()}
     for name in commits.keys() - WITHOUT_COMMIT:
         assert commits[name] is not None, name
         assert git("merge-base", "--is-ancestor", commits[name], "HEAD").returncode == 0, name

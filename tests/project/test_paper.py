@@ -7,14 +7,16 @@ import pytest
 
 from experiments import studies
 from experiments.fly import main as fly
-from experiments.report import findings, kept, paper, paper_page
-from experiments.report.findings import Kind
+from experiments.report import judge, kept, paper
+from experiments.report.command import CLAIMS as KEPT_CLAIMS
+from experiments.report.command import documented, index
+from experiments.report.judge import Kind
 from experiments.report.results import Results
 from jax_aero.cli import COMMANDS, main
 from paper_figs.figures import FIGURES, OURS, SWEEPS
 
 ROOT = Path(__file__).resolve().parents[2]
-KEPT = findings.read(paper_page.CLAIMS) | kept.findings()
+KEPT = judge.read(KEPT_CLAIMS) | kept.findings()
 CLAIMS = paper.all_claims()
 ITEMS = paper.all_items()
 
@@ -27,7 +29,7 @@ def anchors(page: str) -> set[str]:
 
 def test_the_index_is_the_page(capsys):
     assert main(["report", "--index"]) == 0
-    assert capsys.readouterr().out == paper_page.page()
+    assert capsys.readouterr().out == index()
 
 
 def test_every_figure_and_sweep_has_an_item():
@@ -41,13 +43,13 @@ def test_every_claim_is_that_of_an_item():
 
 def test_what_needs_results_is_kept_with_a_verdict_and_nothing_else_is():
     assert set(KEPT) == {key for key, claim in CLAIMS.items() if claim.commands}
-    assert {finding.verdict.kind for finding in paper_page.found().values()} <= {
+    assert {finding.verdict.kind for finding in documented().values()} <= {
         Kind.AGREES, Kind.IN_PART, Kind.DIFFERS, Kind.OUT_OF_REACH,
     }  # fmt: skip
 
 
 def test_a_finding_is_kept_once():
-    assert not findings.read(paper_page.CLAIMS).keys() & kept.findings().keys()
+    assert not judge.read(KEPT_CLAIMS).keys() & kept.findings().keys()
 
 
 def test_every_item_of_the_paper_has_a_verdict():
@@ -95,7 +97,7 @@ def test_links_lead_somewhere(link):
     else:
         page = ROOT / "docs" / path
         assert not path or page.is_file()
-        assert not anchor or anchor in anchors(page.read_text(encoding="utf-8") if path else paper_page.page())
+        assert not anchor or anchor in anchors(page.read_text(encoding="utf-8") if path else index())
 
 
 def test_what_reproduces_the_paper_makes_what_every_claim_needs(monkeypatch):

@@ -1,15 +1,15 @@
 """`make reproduce`: what fails is named and costs nothing else, and a verdict that is not the kept one fails."""
 
-import dataclasses
 import json
 import shutil
 
+import msgspec
 import pytest
 
 from experiments import reproduce
-from experiments.report import paper, paper_page
-from experiments.report.command import _check
-from experiments.report.findings import AGREES, NOT_FLOWN, differs
+from experiments.report import paper
+from experiments.report.command import check, documented
+from experiments.report.judge import AGREES, NOT_FLOWN, Kind, Verdict
 from experiments.report.results import Results
 from jax_aero.base import places
 
@@ -62,13 +62,13 @@ def test_what_is_of_other_code_is_made_again(made_up_results, monkeypatch, tmp_p
 
 
 def test_a_verdict_that_is_not_the_kept_one_fails(capsys):
-    kept = paper_page.found()
+    kept = documented()
     key, finding = next((key, one) for key, one in kept.items() if paper.all_claims()[key].commands)
-    assert _check(kept) == 0
-    assert _check(kept | {key: dataclasses.replace(finding, verdict=NOT_FLOWN)}) == 0
-    for wrong in (AGREES, differs("it does not")):
+    assert check(kept) == 0
+    assert check(kept | {key: msgspec.structs.replace(finding, verdict=NOT_FLOWN)}) == 0
+    for wrong in (AGREES, Verdict(Kind.DIFFERS, "differs")):
         if wrong != finding.verdict:
-            assert _check(kept | {key: dataclasses.replace(finding, verdict=wrong)}) == 1
+            assert check(kept | {key: msgspec.structs.replace(finding, verdict=wrong)}) == 1
             assert f"{key}: {wrong}; the documentation has: {finding.verdict}" in capsys.readouterr().err
 
 

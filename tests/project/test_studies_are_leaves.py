@@ -28,7 +28,7 @@ from pathlib import Path
 def probe(missing):
     from jax_aero import cli
     from experiments import schema, studies
-    from experiments.report import paper, paper_page
+    from experiments.report import command, paper
     from paper_figs.figures import FIGURES
 
     assert missing.isdisjoint(studies.names())
@@ -41,7 +41,7 @@ def probe(missing):
     shown = {item.figure for item in paper.all_items()}
     assert shown - {""} <= {*FIGURES, *paper.SWEEPS}
     assert missing.isdisjoint(entry.kind for entry in FIGURES.values())
-    page = paper_page.page()
+    page = command.index()
     assert not any(f"study {gone}" in page for gone in missing)
     assert not any(missing.intersection(path.parts) for path in schema.files())
 

@@ -18,7 +18,7 @@ import xarray as xr
 from experiments import Refused, record
 from experiments.identity import Identity
 from experiments.report import keep
-from experiments.report.findings import Record
+from experiments.report.judge import Record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
 from jax_aero.aero import dataset
@@ -186,7 +186,7 @@ def test_a_damaged_manifest_is_named_by_every_reader_and_overwritten(damage, tmp
     with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
         recording.read(folder)
     with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
-        _ = Results(tmp_path).manifests
+        _ = Results(tmp_path).flights
     with pytest.raises(Refused, match=rf"mine holds no finished result \({path} .*--overwrite it"):
         record.find_existing(folder, Identity("d", ()), documents.Manifest, overwrite=False)
     if damage is not a_folder:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.report.findings import AGREES, differs
-from experiments.report.judges import tunnel as claims
+from experiments.report import paper
+from experiments.report.measures import files
 from paper_figs import tunnel
 
 
@@ -18,28 +18,43 @@ def runs():
     return tunnel.read(tunnel.CFD)["run"]
 
 
+def decide(key):
+    measured, verdict = paper.all_claims()[key].decide(None)
+    return measured, str(verdict)
+
+
 def test_speeds_differ_by_less_than_the_paper_says_only_without_the_slow_one():
-    assert claims.speeds(slow=False) == ("3.1 %", AGREES)
-    assert claims.speeds(slow=True) == ("8.7 %", differs("+3.7 %"))
+    assert decide("speeds") == ("3.1 %", "agrees")
+    assert decide("slow_speed") == ("8.7 %", "differs: +3.7 %")
 
 
 def test_postures_differ_by_almost_twenty_per_cent_at_small_angles_only():
-    assert claims.postures(25) == ("18.1 %", AGREES)
-    assert claims.postures(60) == ("8.6 %", differs("-6.4 %"))
+    assert decide("postures_25") == ("18.1 %", "agrees")
+    assert decide("postures_60") == ("8.6 %", "differs: -6.4 %")
 
 
 def test_k_omega_is_closer_to_the_tunnel(monkeypatch):
-    assert [claims.drag_errors(model) for model in claims.MODELS] == [("2.4 %", AGREES), ("8.8 %", AGREES)]
-    assert [claims.size_errors(model)[1] for model in claims.MODELS] == [AGREES, AGREES]
+    models = (tunnel.OMEGA, tunnel.EPSILON)
+    assert [decide(f"drag {model}") for model in models] == [("2.4 %", "agrees"), ("8.8 %", "agrees")]
+    assert [decide(f"magnitude {model}")[1] for model in models] == ["agrees", "agrees"]
     monkeypatch.setattr(tunnel, "drag_error", lambda _, run: 0.05 if run["turbulence"] == tunnel.OMEGA else 0.03)
-    assert [claims.drag_errors(model)[1] for model in claims.MODELS] == [differs("+2.0 %"), differs("-2.0 %")]
+    assert [decide(f"drag {model}")[1] for model in models] == ["differs: +2.0 %", "differs: -2.0 %"]
+
+
+def test_the_size_of_a_force_is_compared_with_the_tunnel(monkeypatch):
+    record = {"posture": "flight30", "alpha_deg": [30, 60], "cda": [0.3, 0.1], "cla": [0.0, 0.2], "csa": [0.4, 0.2]}
+    run = {key: [1.1 * area for area in record[key]] for key in ("cda", "cla", "csa")}
+    run |= {"posture": "flight30", "mesh": tunnel.FINEST, "alpha_deg": [30, 60]}
+    runs = [run | {"turbulence": model} for model in (tunnel.OMEGA, tunnel.EPSILON)]
+    monkeypatch.setattr(tunnel, "read", lambda _: {"flight": [record], "run": runs})
+    assert files.cfd().cases[""]["size"] == pytest.approx(10.0)
 
 
 def test_no_mesh_is_further_off_than_the_paper_says(runs):
     names = tunnel.meshes(runs)
     assert names == ["011C", "024C", "050C", "202C", "953C"]
-    assert {claims.mesh_errors(name)[1] for name in names} == {AGREES}
-    assert max(claims.mesh_errors(name)[0] for name in names) == "6.4 %"
+    assert {decide(f"mesh_{name}")[1] for name in names} == {"agrees"}
+    assert max(decide(f"mesh_{name}")[0] for name in names) == "6.4 %"
 
 
 def test_tables_are_whole_and_angles_rise(tables, runs):

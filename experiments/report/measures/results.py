@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from experiments.battery import PAPER_FUEL
 from experiments.flight import PAPER_RUNS
-from experiments.report.measures import Cases, Measured, one
+from experiments.report.measures import Measured, one
 from experiments.report.measures.standing import standing
 from experiments.report.results import Cell, Results, count
 from experiments.sweep.criteria import Criterion
-from experiments.sweep.table import wilson
+from experiments.sweep.intervals import wilson
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",
