@@ -22,7 +22,7 @@ from experiments.table import markdown_table
 ELSEWHERE = r"\s*(?:[^/)]*:|[/\\])"
 """Beginning of a link that is no relative path."""
 
-TONES = {"agrees": "good", "differs": "bad", "error": "bad"}
+TONES = {"agrees": "good", "differs": "bad", "error": "bad", "out": "open", "outdated": "open"}
 """Colours of verdicts, by their first words; what agrees in part is neither good nor bad."""
 
 
@@ -114,7 +114,7 @@ def _within(children: Sequence[Token], folder: Path, pictures: set[str]) -> Iter
         elif token.type == "strong_open":
             verdict = children[place + 1].content
             word = re.split(r"\W", verdict, maxsplit=1)[0]
-            token.attrSet("class", "open" if word == "agrees" != verdict else TONES.get(word, "open"))
+            token.attrSet("class", "open" if word == "agrees" != verdict else TONES.get(word, ""))
         if leads or token.type not in ("link_open", "link_close"):
             yield token
 
