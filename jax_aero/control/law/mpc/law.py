@@ -42,8 +42,8 @@ from jax_aero.types import Array, Setpoint
 FACTORISATIONS_MAX = 300
 """Limit of the factorisations of one plan, over all its QPs.
 
-Each QP has the values beyond their limits that the last answer brought there. Where they do not suffice, the last plan is
-followed.
+Each QP has the values beyond their limits that the last answer brought there. Where the factorisations do not suffice,
+the last plan is followed.
 """
 
 PLAN_SHARE = 0.25
