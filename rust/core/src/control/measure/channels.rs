@@ -323,6 +323,7 @@ impl Channels {
         used.thrust_rate.copy_from_slice(state.jet_rate.as_slice());
     }
 
+    #[inline]
     fn is_within(&self, of: &Measurement, channel: Channel) -> bool {
         let mut runs = of.numbers(channel).into_iter().zip(self.greatest.numbers(channel));
         runs.all(|(numbers, greatest)| numbers.iter().zip(greatest).all(|(x, most)| x.abs() <= *most))
@@ -335,6 +336,7 @@ impl Channels {
     }
 
     /// Whether they are within so many jumps of others.
+    #[inline]
     fn is_near(&self, now: &Measurement, channel: Channel, to: &Measurement, jumps: f64) -> bool {
         let runs = now.numbers(channel).into_iter().zip(to.numbers(channel));
         runs.zip(self.jump.numbers(channel)).all(|((now, to), jump)| {
@@ -342,12 +344,12 @@ impl Channels {
         })
     }
 
-    /// Whether they are in their range, and near their prediction.
-    fn is_sound(&self, state: &ChannelsState, now: &Measurement, place: usize, missed_ticks: f64) -> bool {
-        let (record, channel) = (&state.records[place], self.parts[place]);
+    /// Whether they are near their prediction.
+    fn is_expected(&self, state: &ChannelsState, now: &Measurement, place: usize, missed_ticks: f64) -> bool {
+        let record = &state.records[place];
         let width = if record.support > 1 { 1.0 } else { CONFIRMATION };
         let gate = width + WIDENING * record.age + missed_ticks;
-        self.is_plausible(now, channel) && self.is_near(now, channel, &state.predicted, gate)
+        self.is_near(now, self.parts[place], &state.predicted, gate)
     }
 
     /// Accepts the numbers of a channel, or lets its age grow by `dt` \[s\]. Returns whether it is measured in this tick
@@ -364,13 +366,20 @@ impl Channels {
         // What contradicts one velocity of the base contradicts both.
         let is_contradicted = kind.is_velocity()
             && self.velocities().into_iter().filter(|other| *other != place).any(|other| {
-                now.is_measured(self.parts[other]) && !self.is_sound(state, now, other, missed_ticks)
+                let channel = self.parts[other];
+                let is_sound =
+                    || self.is_plausible(now, channel) && self.is_expected(state, now, other, missed_ticks);
+                now.is_measured(channel) && !is_sound()
             });
-        let is_sound = self.is_sound(state, now, place, missed_ticks) && !is_contradicted;
-        let is_same = state.is_begun && now.numbers(kind) == state.last.numbers(kind);
         let is_plausible = self.is_plausible(now, kind);
+        let is_sound = is_plausible && self.is_expected(state, now, place, missed_ticks) && !is_contradicted;
+        let is_same = state.is_begun && now.numbers(kind) == state.last.numbers(kind);
         let agrees = state.records[place].against > 0 && self.is_near(now, kind, &state.last, 1.0);
-        let is_near = self.is_near(now, kind, &state.predicted, FROZEN_SHARE);
+        // The prediction of a wind does not move.
+        let leaves = kind.is_vital()
+            && is_same
+            && state.records[place].same.saturating_add(1) >= FROZEN_TICKS
+            && !self.is_near(now, kind, &state.predicted, FROZEN_SHARE);
         let record = &mut state.records[place];
         let was_new = record.age == 0.0 && record.same == 0;
         record.is_missing = !now.is_measured(kind);
@@ -383,8 +392,6 @@ impl Channels {
         let is_outvoted = record.against > record.support;
         record.is_distrusted |=
             kind == Channel::Wind && is_plausible && !is_sound && record.age > self.config.wind_hold;
-        // The prediction of a wind does not move.
-        let leaves = kind.is_vital() && record.same >= FROZEN_TICKS && !is_near;
         record.is_frozen = is_same && (record.is_frozen || leaves);
         if (is_sound || is_outvoted) && !record.is_frozen && !record.is_distrusted {
             record.age = 0.0;

@@ -66,6 +66,7 @@ impl Measurement {
     }
 
     /// Numbers of a channel, in at most two runs.
+    #[inline]
     pub(in crate::control) fn numbers(&self, channel: Channel) -> [&[f64]; 2] {
         let RobotState { base, joint_position, velocity } = &self.state;
         let run = match channel {
@@ -82,6 +83,7 @@ impl Measurement {
     }
 
     /// The same, to be changed.
+    #[inline]
     pub(in crate::control) fn numbers_mut(&mut self, channel: Channel) -> [&mut [f64]; 2] {
         let RobotState { base, joint_position, velocity } = &mut self.state;
         let run = match channel {
@@ -100,6 +102,7 @@ impl Measurement {
     }
 
     /// Copies the numbers of a channel.
+    #[inline]
     pub(in crate::control) fn copy_channel(&mut self, channel: Channel, from: &Self) {
         for (to, from) in self.numbers_mut(channel).into_iter().zip(from.numbers(channel)) {
             to.copy_from_slice(from);
@@ -112,6 +115,7 @@ impl Measurement {
     }
 
     /// Whether every number of a channel is finite.
+    #[inline]
     pub(in crate::control) fn is_measured(&self, channel: Channel) -> bool {
         self.numbers(channel).into_iter().flatten().all(|number| number.is_finite())
     }

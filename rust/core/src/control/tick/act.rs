@@ -50,8 +50,11 @@ impl Torques {
         let Terms { inverse_mass, free_acceleration, contact, limits, torque_qp, .. } = terms;
         let friction = &mut state.acting.friction;
         self.compare(state.estimate.robot.state.joint_velocity(), command);
-        for (joint, (to, friction)) in friction.iter_mut().zip(&self.friction).enumerate() {
-            *to = friction * libm::tanh(command.joint_velocity[joint] / SLIP);
+        let have_friction = self.friction.iter().any(|friction| *friction > 0.0);
+        if have_friction {
+            for (joint, (to, friction)) in friction.iter_mut().zip(&self.friction).enumerate() {
+                *to = friction * libm::tanh(command.joint_velocity[joint] / SLIP);
+            }
         }
         for (integral, found) in state.velocity_error_integral.iter_mut().zip(&limits.joints) {
             if matches!(found, JointCondition::Stuck | JointCondition::Free) {
@@ -61,7 +64,7 @@ impl Torques {
         if inverse_mass.is_known {
             torque_qp.limit(&limits.joints);
             self.free.fill(0.0);
-            if friction.iter().any(|x| *x != 0.0) {
+            if have_friction {
                 self.free.rows_range_mut(6..).axpy(-1.0, friction, 0.0);
                 inverse_mass.multiply_in_place(&mut self.free);
             }
