@@ -143,8 +143,7 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
 
 def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chunks, flown: int, seconds: float) -> None:
     """Join the chunks; the description is written last and marks the sweep as complete."""
-    # In one piece: the bytes of the file depend on the pieces.
-    whole = pa.concat_tables(map(chunks.read, chunks.find_whole(design.n_rows))).combine_chunks()
+    whole = pa.concat_tables(map(chunks.read, chunks.find_whole(design.n_rows)))
     of_cells = table.cells(design.spec, design.cells, whole)
     for name, content in zip(TABLES, (whole, of_cells), strict=True):
         write_bytes(folder / name, parquet(content))
