@@ -82,7 +82,7 @@ class Flight:
     @property
     def joint_errors(self) -> tuple[float, float]:
         """Return the greatest sum of joint errors over all joints, and its mean over the last seconds [deg]."""
-        error = np.degrees(flights.joint_error_sums(self.run).sum("group"))
+        error = np.degrees(abs(self.run["joint_position"] - self.run["joint_setpoint"]).sum("joint"))
         return float(error.max()), float(error[error["time"] >= error["time"][-1] - FINAL].mean())
 
     @property
