@@ -82,7 +82,8 @@ def _twin_ticks(params: MomentumController, robot: RobotModel, batch: Any) -> di
         def one_tick(memory: ControllerState, now: Any) -> tuple[ControllerState, dict[str, Any]]:
             time, (state, thrust, wind, followed) = now
             memory, command, terms = control.tick(params, robot, memory, time, state, thrust, wind, followed)
-            return memory, tick_quantities(memory, command, terms)
+            integral = {"velocity_error_integral": memory.velocity_error_integral}
+            return memory, tick_quantities(command, terms) | integral
 
         both = jax.tree.map(lambda *leaves: jnp.stack(leaves), sample[3:7], sample[7:])
         found: dict[str, Any] = jax.lax.scan(one_tick, memory, (times, both))[1]
@@ -104,7 +105,7 @@ def crate_ticks(config: Mapping[str, Any], samples: Sequence[Sample]) -> list[ru
     return first + second
 
 
-def tick_quantities(memory: Any, command: Any, terms: Any) -> dict[str, Any]:
+def tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
     """Return every value of a tick by its name in `rust.Tick`."""
     link, momentum, attitude = terms.link_forces, terms.momentum, terms.attitude
     shaping, following = terms.momentum_qp, terms.torque_qp
@@ -136,7 +137,6 @@ def tick_quantities(memory: Any, command: Any, terms: Any) -> dict[str, Any]:
         **{f"torque_qp.{name}": value for name, value in following.problem._asdict().items()},
         "unlimited_torque": terms.unlimited_torque,
         "joint_torque": command.joint_torque,
-        "velocity_error_integral": memory.velocity_error_integral,
     }
 
 
