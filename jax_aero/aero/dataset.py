@@ -177,6 +177,12 @@ class Dataset:
         """Names of the postures, in order of first appearance."""
         return tuple(dict.fromkeys(self.posture.tolist()))
 
+    @property
+    def force_area_w(self) -> Float[np.ndarray, "B L 3"]:
+        """Drag, side and lift area [m²]: x, y and z of the tunnel frame, with x along the wind."""
+        areas: Floats = np.einsum("nij,nlj->nli", tunnel_from_base(self.pitch_deg, self.yaw_deg), self.force_area_b)
+        return areas
+
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of the numbers that a model is trained on: postures, mirroring, joints, wind and areas, in order."""

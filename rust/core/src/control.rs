@@ -46,5 +46,5 @@ pub use measure::measurement::{BadStart, Estimate, Measurement};
 pub use modes::Modes;
 pub use preview::Preview;
 pub use state::ControllerState;
-pub use terms::Terms;
+pub use terms::{Present, Terms};
 pub use tick::{Controller, Given};

@@ -5,13 +5,14 @@
 
 use crate::common::{Loop, Running, assert_within, at, experiment, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
+use flight_core::control::Present;
 use flight_core::control::law::plan::Plan;
 use flight_core::control::law::setpoint::Setpoint;
+use flight_core::control::mpc::PredictiveLaw;
 use flight_core::control::mpc::clearance::{Clearance, ClearanceConfig};
 use flight_core::control::mpc::config::Air;
 use flight_core::control::mpc::horizon::{Horizon, Target};
 use flight_core::control::mpc::model::Linearised;
-use flight_core::control::mpc::{PredictiveLaw, Present};
 use flight_core::control::{Command, Given, Modes, Preview};
 use flight_core::dynamics::Dynamics;
 use flight_core::jets::JetDynamics;

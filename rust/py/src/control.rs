@@ -7,12 +7,12 @@ use crate::arrays::{
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
+use flight_core::control::Present;
 use flight_core::control::estimate::joint_tracker::JointMeasurement;
 use flight_core::control::law::contact::ContactState;
 use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
-use flight_core::control::mpc::Present;
 use flight_core::control::mpc::horizon::{Horizon, Target};
 use flight_core::control::mpc::model::Linearised;
 use flight_core::control::{ControllerState as State, Estimate, Given, Measurement, Preview, Terms};

@@ -22,7 +22,7 @@ use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver};
 use common::{PlannedTick, Search, Tick, report};
 use flight_core::RobotModel;
 use flight_core::aero::{LinkConventions, LinkForces};
-use flight_core::control::mpc::Present;
+use flight_core::control::Present;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{ClarabelSolver, PrimalActiveSet, QpProblem, QpSolver};

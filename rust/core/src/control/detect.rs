@@ -1,67 +1,25 @@
 //! Fault detection: each detector compares what a tick measures with what was commanded, and says what it finds.
 //!
-//! A detector is a file here with its configuration, its state and its `impl` of [`Detector`], and a line in the list below.
-//! It reads the tick's [`Evidence`], and writes what the law may use into [`Limits`] and the rest into [`Findings`].
+//! A detector is a file here with its configuration, its state and its `impl` of [`Detector`], and an entry in the list below:
+//! name, type and how it is built. It reads the tick's [`Evidence`], and writes what the law may use into [`Limits`] and the
+//! rest into [`Findings`].
 
+pub mod detector;
 pub mod engines;
 pub mod joints;
 pub mod latency;
 pub mod supervisor;
 
-use super::acting::Acting;
 use super::command::Command;
 use super::config::ControllerConfig;
-use super::estimate::disturbance_observer::ObserverState;
-use super::law::momentum::MomentumModel;
-use super::law::setpoint::Setpoint;
 use super::limits::Limits;
 use super::measure::measurement::Estimate;
-use super::modes::Modes;
-use crate::dynamics::{Dynamics, InverseMass};
-use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
+use detector::{Detector, Evidence, Findings};
 use engines::Engines;
 use joints::Joints;
 use latency::LatencyMonitor;
 use supervisor::SupervisorConfig;
-
-/// What detectors read of a tick.
-#[derive(Debug)]
-pub struct Evidence<'a> {
-    /// The robot as it is known.
-    pub estimate: &'a Estimate,
-    /// The command since the last tick.
-    pub acting: &'a Acting,
-    /// Its poses and velocities.
-    pub kinematics: &'a Kinematics,
-    /// Mass matrix and momentum.
-    pub dynamics: &'a Dynamics,
-    /// Inverse mass matrix.
-    pub inverse_mass: &'a InverseMass,
-    /// `A_T`, and the observed wrench.
-    pub momentum: &'a MomentumModel,
-    /// The disturbance observer, where there is one.
-    pub disturbance: Option<&'a ObserverState>,
-    /// The set-point of the time of the state.
-    pub setpoint: &'a Setpoint,
-    /// Whether the feet carry load.
-    pub is_standing: bool,
-}
-
-/// What detectors find in a tick, beside the limits of the law.
-#[derive(Debug, Clone, Default)]
-pub struct Findings {
-    /// Modes of the tick.
-    pub modes: Modes,
-    /// Error of each thrust sensor that is found to be wrong in this tick \[N\].
-    pub sensor_error: Vec<Option<f64>>,
-    /// Whether the robot is to descend.
-    pub descends: bool,
-    /// Measured latency of torques and thrust rates, as far as it is known \[s\].
-    pub latency: [Option<f64>; 2],
-    /// Latency of the torques that the estimator is to use in place of the known one \[s\].
-    pub torque_latency: Option<f64>,
-}
 
 /// What a detector is built for.
 #[derive(Debug, Clone, Copy)]
@@ -78,41 +36,9 @@ pub struct Setup<'a> {
     pub time_step: f64,
 }
 
-/// A detector of one kind of fault.
-pub trait Detector: Sized {
-    /// What it keeps from tick to tick.
-    type State;
-
-    /// The detector, where it is configured.
-    fn build(setup: &Setup) -> Option<Self>;
-
-    /// Its state at the start of a flight.
-    fn start(&self, estimate: &Estimate) -> Self::State;
-
-    /// Whether a state has the sizes of this robot.
-    fn fits(&self, _state: &Self::State) -> bool {
-        true
-    }
-
-    /// Takes in what was measured, before an estimator replaces it.
-    fn measure(&self, _state: &mut Self::State, _measured: &Estimate) {}
-
-    /// Compares a tick with what was commanded.
-    fn detect(
-        &mut self,
-        state: &mut Self::State,
-        tick: &Evidence,
-        limits: &mut Limits,
-        findings: &mut Findings,
-    );
-
-    /// Takes in the command of the tick.
-    fn command(&self, _state: &mut Self::State, _command: &Command) {}
-}
-
 /// Makes the set of detectors, and their states, from one list, in whose order they run.
 macro_rules! detectors {
-    ($($(#[doc = $doc:literal])+ $name:ident: $detector:ty;)*) => {
+    ($($(#[doc = $doc:literal])+ $name:ident: $detector:ty = $build:expr;)*) => {
         /// The configured detectors.
         #[derive(Debug)]
         pub struct Detectors {
@@ -129,7 +55,8 @@ macro_rules! detectors {
             /// Builds those that are configured.
             #[must_use]
             pub fn new(setup: &Setup) -> Self {
-                Self { $($name: <$detector>::build(setup),)* }
+                $(let $name: fn(&Setup) -> Option<$detector> = $build;)*
+                Self { $($name: $name(setup),)* }
             }
 
             /// States at the start of a flight.
@@ -179,11 +106,19 @@ macro_rules! detectors {
 
 detectors! {
     /// Engines that do not follow their commands, and wrong thrust sensors.
-    engines: Engines;
+    engines: Engines = |of| {
+        let dynamics = of.config.jet_dynamics;
+        of.config.engines.map(|engines| Engines::new(&engines, of.usual, of.robot, of.momentum_shares, dynamics))
+    };
     /// Joints that do not follow their torques.
-    joints: Joints;
+    joints: Joints = |of| of.config.joints.map(|joints| Joints::new(joints, of.robot, of.time_step));
     /// Commands that act late.
-    latency: LatencyMonitor;
+    latency: LatencyMonitor = |of| {
+        let (estimator, steps) = (of.config.estimator.as_ref(), of.config.torque.steps);
+        let sizes = (of.robot.joints.len(), of.robot.jets.len());
+        let monitor = |config| LatencyMonitor::new(config, estimator, steps, sizes.0, sizes.1, of.time_step);
+        of.config.latency_monitor.map(monitor)
+    };
     /// A flight that strays from its set-point.
-    supervisor: SupervisorConfig;
+    supervisor: SupervisorConfig = |of| of.config.supervisor;
 }

@@ -23,11 +23,10 @@ use super::law::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::Command;
 use crate::control::law::plan::Plan;
-use crate::control::measure::measurement::Estimate;
 use crate::control::modes::Modes;
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
-use crate::control::terms::Terms;
+use crate::control::terms::{Present, Terms};
 use crate::error::BuildError;
 use crate::jets::JetModel;
 use crate::qp::{PrimalActiveSet, QpAnswer, QpSolver, QpStatus};
@@ -73,15 +72,6 @@ pub struct PredictiveLaw {
     /// Inputs of the plan that is being made.
     inputs: Vec<f64>,
     solver: PrimalActiveSet,
-}
-
-/// What a plan begins with.
-#[derive(Debug, Clone, Copy)]
-pub struct Present<'a> {
-    /// The robot as it is known.
-    pub estimate: &'a Estimate,
-    /// What follows from it in this tick.
-    pub terms: &'a Terms,
 }
 
 /// What is known of the motion after this tick.

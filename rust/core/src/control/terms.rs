@@ -1,6 +1,6 @@
 //! Intermediate values of a tick, in the order in which they are computed.
 
-use super::detect::Findings;
+use super::detect::detector::Findings;
 use super::law::attitude::AttitudeDemand;
 use super::law::contact::Contact;
 use super::law::momentum::{AeroFeedback, MomentumModel};
@@ -8,7 +8,7 @@ use super::law::momentum_qp::MomentumQp;
 use super::law::setpoint::Setpoint;
 use super::law::torque::TorqueQp;
 use super::limits::Limits;
-use super::measure::measurement::Measurement;
+use super::measure::measurement::{Estimate, Measurement};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, InverseMass};
 use crate::kinematics::Kinematics;
@@ -50,6 +50,15 @@ pub struct Terms {
     pub unlimited_torque: DVector<f64>,
     /// What detectors find, beside the limits.
     pub findings: Findings,
+}
+
+/// A tick as it is known: what a plan begins with.
+#[derive(Debug, Clone, Copy)]
+pub struct Present<'a> {
+    /// The robot as it is known.
+    pub estimate: &'a Estimate,
+    /// What follows from it in this tick.
+    pub terms: &'a Terms,
 }
 
 impl Terms {

@@ -16,7 +16,7 @@
 //! Where the speed of a shaft is measured, it alone judges the engine: a deviation beyond that of engines whose ramps are
 //! slower and faster than known is the engine's, whatever the momentum shows.
 
-use super::{Detector, Evidence, Findings, Setup};
+use super::detector::{Detector, Evidence, Findings};
 use crate::control::estimate::disturbance_observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
 use crate::control::limits::Limits;
@@ -278,11 +278,6 @@ pub struct Engines {
 
 impl Detector for Engines {
     type State = Vec<EngineState>;
-
-    fn build(setup: &Setup) -> Option<Self> {
-        let Setup { config, usual, robot, momentum_shares, .. } = *setup;
-        config.engines.map(|engines| Self::new(&engines, usual, robot, momentum_shares, config.jet_dynamics))
-    }
 
     fn start(&self, _: &Estimate) -> Self::State {
         vec![EngineState::default(); self.usual.thrust.len()]

@@ -13,11 +13,12 @@
 //! Equation M143 of `docs/model/guard.md`; Haddadin, De Luca and Albu-Schäffer, "Robot collisions", IEEE T-RO 2017, have the
 //! residual of the momentum.
 
-use super::{Detector, Evidence, Findings, Setup};
+use super::detector::{Detector, Evidence, Findings};
 use crate::control::command::Command;
 use crate::control::limits::{JointCondition, Limits};
 use crate::control::measure::measurement::Estimate;
 use crate::control::modes::Modes;
+use crate::robot::RobotModel;
 use crate::spatial::parts;
 use crate::timing::{Exceeded, share};
 use nalgebra::{DVector, Vector3};
@@ -118,6 +119,14 @@ pub struct Joints {
 }
 
 impl Joints {
+    /// A detection for the joints of `robot`, with ticks every `time_step` \[s\].
+    #[must_use]
+    pub fn new(config: JointsConfig, robot: &RobotModel, time_step: f64) -> Self {
+        let stops: Vec<_> = robot.joints.iter().map(|joint| joint.stops).collect();
+        let rows = DVector::zeros(6 + stops.len());
+        Self { config, time_step, stops, unexplained: rows.clone(), residual: rows }
+    }
+
     /// What a tick shows of the joints.
     fn sample<'a>(&'a mut self, tick: &Evidence<'a>) -> JointSample<'a> {
         let Evidence { estimate, acting, dynamics, kinematics, momentum, .. } = *tick;
@@ -145,14 +154,6 @@ impl Joints {
 
 impl Detector for Joints {
     type State = JointsState;
-
-    fn build(setup: &Setup) -> Option<Self> {
-        let stops: Vec<_> = setup.robot.joints.iter().map(|joint| joint.stops).collect();
-        let rows = DVector::zeros(6 + stops.len());
-        let (unexplained, residual) = (rows.clone(), rows);
-        let time_step = setup.time_step;
-        setup.config.joints.map(|config| Self { config, time_step, stops, unexplained, residual })
-    }
 
     fn start(&self, estimate: &Estimate) -> JointsState {
         JointsState::new(&estimate.robot.state.joint_position)

@@ -12,7 +12,7 @@
 //! for which a torque is held. It is known while its standard deviation, were the residuals white, is small enough.
 //! Equations M164 and M165 of `docs/model`.
 
-use super::{Detector, Evidence, Findings, Setup};
+use super::detector::{Detector, Evidence, Findings};
 use crate::control::estimate::estimator::EstimatorConfig;
 use crate::control::limits::{JointCondition, Limits};
 use crate::control::measure::measurement::{Estimate, Sampling};
@@ -258,13 +258,6 @@ pub struct LatencyState {
 
 impl Detector for LatencyMonitor {
     type State = LatencyState;
-
-    fn build(setup: &Setup) -> Option<Self> {
-        let Setup { config, robot, time_step, .. } = *setup;
-        let (steps, joints, jets) = (config.torque.steps, robot.joints.len(), robot.jets.len());
-        let estimator = config.estimator.as_ref();
-        config.latency_monitor.map(|monitor| Self::new(monitor, estimator, steps, joints, jets, time_step))
-    }
 
     fn start(&self, estimate: &Estimate) -> LatencyState {
         self.start_of(self.by_torque.len(), estimate.robot.thrust.len())

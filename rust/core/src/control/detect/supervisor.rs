@@ -8,7 +8,7 @@
 //! A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
 //! the cause is. Equations M148 and M149 of `docs/model`.
 
-use super::{Detector, Evidence, Findings, Setup};
+use super::detector::{Detector, Evidence, Findings};
 use crate::control::law::setpoint::Setpoint;
 use crate::control::limits::Limits;
 use crate::control::measure::measurement::Estimate;
@@ -87,10 +87,6 @@ impl SupervisorConfig {
 
 impl Detector for SupervisorConfig {
     type State = Exceeded;
-
-    fn build(setup: &Setup) -> Option<Self> {
-        setup.config.supervisor
-    }
 
     fn start(&self, _: &Estimate) -> Exceeded {
         Exceeded::default()

@@ -3,11 +3,11 @@
 //! H and g collect the squares of the errors of what the prediction has at the end of every knot, of the states of jets and
 //! joints and of the inputs, and of what is beyond its limits. Equations M123, M124 and M126 of `docs/model`.
 
-use super::Present;
 use super::clearance::Clearance;
 use super::config::{MpcConfig, MpcWeights};
 use super::model::Linearised;
 use super::prediction::{OUTPUTS, Outputs, Prediction};
+use crate::control::terms::Present;
 use crate::error::BuildError;
 use crate::jets::JetModel;
 use crate::linalg;

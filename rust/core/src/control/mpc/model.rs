@@ -8,9 +8,9 @@
 //! `θ` rotates the whole robot about its centre of mass, which stays. All in inertial axes. Equations M116 to M119 of
 //! `docs/model`.
 
-use super::Present;
 use super::config::Air;
 use crate::aero::{AeroModel, ForceDerivatives};
+use crate::control::terms::Present;
 use crate::control::terms::Terms;
 use crate::robot::{JointKind, RobotModel};
 use crate::spatial::{skew, stack};

@@ -11,10 +11,10 @@
 //! `u` and `w` are constant between knots, so every knot is exact: a Taylor series for a short time, and squares of it.
 //! Equations M120, M122, M125 and M174 of `docs/model`.
 
-use super::Present;
 use super::chain::{Answers, Chain, along};
 use super::config::MpcConfig;
 use super::model::Linearised;
+use crate::control::terms::Present;
 use crate::jets::JetModel;
 use crate::linalg;
 use crate::robot::RobotModel;

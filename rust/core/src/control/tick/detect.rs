@@ -1,7 +1,7 @@
 //! What measurement and model together tell: whether the feet carry load (M114), the unmodelled wrench, and faults.
 
 use super::Controller;
-use crate::control::detect::Evidence;
+use crate::control::detect::detector::Evidence;
 use crate::control::estimate::disturbance_observer::{MomentumSample, ObserverState};
 use crate::control::law::contact::add_wrenches;
 use crate::control::measure::channels::Channels;

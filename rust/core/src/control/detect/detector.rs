@@ -1,0 +1,79 @@
+//! What a detector is: what it reads of a tick, and where it says what it finds.
+
+use crate::control::acting::Acting;
+use crate::control::command::Command;
+use crate::control::estimate::disturbance_observer::ObserverState;
+use crate::control::law::momentum::MomentumModel;
+use crate::control::law::setpoint::Setpoint;
+use crate::control::limits::Limits;
+use crate::control::measure::measurement::Estimate;
+use crate::control::modes::Modes;
+use crate::dynamics::{Dynamics, InverseMass};
+use crate::kinematics::Kinematics;
+
+/// What detectors read of a tick.
+#[derive(Debug)]
+pub struct Evidence<'a> {
+    /// The robot as it is known.
+    pub estimate: &'a Estimate,
+    /// The command since the last tick.
+    pub acting: &'a Acting,
+    /// Its poses and velocities.
+    pub kinematics: &'a Kinematics,
+    /// Mass matrix and momentum.
+    pub dynamics: &'a Dynamics,
+    /// Inverse mass matrix.
+    pub inverse_mass: &'a InverseMass,
+    /// `A_T`, and the observed wrench.
+    pub momentum: &'a MomentumModel,
+    /// The disturbance observer, where there is one.
+    pub disturbance: Option<&'a ObserverState>,
+    /// The set-point of the time of the state.
+    pub setpoint: &'a Setpoint,
+    /// Whether the feet carry load.
+    pub is_standing: bool,
+}
+
+/// What detectors find in a tick, beside the limits of the law.
+#[derive(Debug, Clone, Default)]
+pub struct Findings {
+    /// Modes of the tick.
+    pub modes: Modes,
+    /// Error of each thrust sensor that is found to be wrong in this tick \[N\].
+    pub sensor_error: Vec<Option<f64>>,
+    /// Whether the robot is to descend.
+    pub descends: bool,
+    /// Measured latency of torques and thrust rates, as far as it is known \[s\].
+    pub latency: [Option<f64>; 2],
+    /// Latency of the torques that the estimator is to use in place of the known one \[s\].
+    pub torque_latency: Option<f64>,
+}
+
+/// A detector of one kind of fault.
+pub trait Detector: Sized {
+    /// What it keeps from tick to tick.
+    type State;
+
+    /// Its state at the start of a flight.
+    fn start(&self, estimate: &Estimate) -> Self::State;
+
+    /// Whether a state has the sizes of this robot.
+    fn fits(&self, _state: &Self::State) -> bool {
+        true
+    }
+
+    /// Takes in what was measured, before an estimator replaces it.
+    fn measure(&self, _state: &mut Self::State, _measured: &Estimate) {}
+
+    /// Compares a tick with what was commanded.
+    fn detect(
+        &mut self,
+        state: &mut Self::State,
+        tick: &Evidence,
+        limits: &mut Limits,
+        findings: &mut Findings,
+    );
+
+    /// Takes in the command of the tick.
+    fn command(&self, _state: &mut Self::State, _command: &Command) {}
+}
