@@ -42,13 +42,16 @@ def main(names: list[str]) -> None:
             if flights.is_unraised(what, config, known):
                 sys.exit(f"error: {name} has other numbers under {known.numerics}: raise the version of its engine")
             changed[name] = config, flight
+    # Of another file, which may be another title, with the same numbers.
+    stored = {name: pair for name, pair in changed.items() if not flights.has_numbers(name, *pair, known)}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flights"
-        command = [sys.executable, "-m", "tests.golden.make", "--plain", str(path), *changed]
+        command = [sys.executable, "-m", "tests.golden.make", "--plain", str(path), *stored]
         subprocess.run(command, check=True, env=os.environ | {"GLIBC_TUNABLES": PLAIN_PROCESSOR})
         plain = pickle.loads(path.read_bytes())
-    for name, (config, flight) in changed.items():
+    for name, (config, flight) in stored.items():
         store(name, config, flight, [plain[name], *map(flights.fly, neighbours_of(config))])
+    for name, (config, flight) in changed.items():
         known.flights[name] = flights.digest(name, config, flight)
     of_all = ((name, known.flights[name]) for name in flights.NAMES if name in known.flights)
     lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(digests)}" for name, digests in of_all)
