@@ -26,9 +26,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.data.import_cfd import known_postures
+from experiments.data.ironcub import JOINTS, joint_position
 from jax_aero import air
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
-from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints, tunnel_from_base
+from jax_aero.aero.dataset import Floats, tunnel_from_base
 from jax_aero.base import places
 from jax_aero.base.files import complete_file
 from jax_aero.base.tables import LARGEST, read
@@ -157,7 +158,7 @@ def posture(robot: RobotModel, name: str) -> Floats:
         raise ValueError(f"--posture is `{name}`{places.did_you_mean(name, [ZERO, *known])}")
     if not set(JOINTS) <= set(robot.joint_names):
         raise ValueError(f"{robot.name} has not the joints of the named postures; expected --posture {ZERO}")
-    return reorder_joints(robot.joint_names, known[name])
+    return joint_position(robot, known[name])
 
 
 def loads(robot: RobotModel, aero: AeroModel, joints: Floats, alphas: Floats, betas: Floats, speed: float) -> Loads:

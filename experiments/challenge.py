@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from experiments import Refused, study
+from experiments import Refused, record, study
 from experiments.report import keep, kept, pictures
 from experiments.report.kept import ALL, Kept
 from experiments.sweep import run, spec
@@ -28,8 +28,8 @@ from experiments.sweep.design import Design
 from experiments.sweep.spec import Level, Spec
 from experiments.table import text_table
 from jax_aero import cli, own, rust
-from jax_aero.base import documents, places
-from jax_aero.base.files import read_json, write_bytes, write_text
+from jax_aero.base import places
+from jax_aero.base.files import write_bytes, write_text
 from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import exit_status
 
@@ -95,8 +95,7 @@ def specs(robot: str, level: Level, seed: int | None = None) -> Iterator[Spec]:
 def fly(tasks: Spec, workers: int | None = None, out: Path | None = None) -> Kept:
     """Fly the tasks, or what is missing of them; refuse a controller that fails in one, since it then has no score."""
     design = Design(tasks)
-    path = (out or run.RESULTS) / tasks.name / run.SWEEP_FILE
-    found = read_json(path, documents.SweepUnderWay) if path.is_file() else None
+    found = record.read_manifest((out or run.RESULTS) / tasks.name)
     is_other = found is not None and bool(run.identity_of(design).difference(found))
     folder = run.run(design, workers=workers, out=out, overwrite=is_other)
     if errors := read_table(folder / "table.parquet")["error"].drop_null().to_pylist():

@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from experiments import Refused, manifest, sources
+from experiments import Refused, manifest
+from experiments.identity import VERSIONS
 from jax_aero.base import places
 from jax_aero.base.terminal import missing_package
 from jax_aero.cli import count
@@ -53,7 +54,6 @@ class Ray:
         task: Callable[[Shared, Job], Answer],
         shared: Shared,
         jobs: Mapping[Key, Job],
-        modules: tuple[str, ...],
         cpus: int = 1,
     ) -> Iterator[tuple[Key, Answer]]:
         """Yield the answers `task(shared, job)` with the keys of their jobs, in order of completion.
@@ -62,8 +62,6 @@ class Ray:
         ----------
         task
             A function in a module that the nodes can import.
-        modules
-            Modules whose code, including imports, determines the answers; it must be the same on every node.
         cpus
             Processors per task.
         """
@@ -77,7 +75,7 @@ class Ray:
             _connect(ray, address, self.workers)
         try:
             # Shared data are transferred once.
-            common = ray.put(pickle.dumps((task, shared, modules, sources.code_hash(*modules))))
+            common = ray.put(pickle.dumps((task, shared, VERSIONS)))
             yield from _spread(ray, common, jobs, cpus)
         finally:
             if started:
@@ -130,7 +128,7 @@ def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any], cpus: int) -> Iterat
 
 
 def _run_remotely(common: bytes, job: Any) -> Any:
-    task, shared, modules, expected = pickle.loads(common)
-    if (found := sources.code_hash(*modules)) != expected:
-        raise Refused(f"a node has other code ({found}, here {expected})")
+    task, shared, expected = pickle.loads(common)
+    if expected != VERSIONS:
+        raise Refused(f"a node has other numerics ({VERSIONS}, here {expected})")
     return task(shared, job)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import Refused, backends, manifest, record, study
-from experiments.identity import Identity
+from experiments.identity import Identity, computed_by
 from jax_aero import rust
 from jax_aero.base import documents, places
 from jax_aero.base.files import lock_work
@@ -39,7 +39,7 @@ def obtain(name: str) -> Path:
 
 def identity_of(config: rust.Config) -> Identity:
     """Return the identity of the flight of a configuration."""
-    return Identity(rust.config_digest(config), (__name__, backends.MODULES[backends.backend_of(config)]))
+    return Identity(rust.config_digest(config), computed_by(backends.backend_of(config)))
 
 
 def run(

@@ -1,7 +1,7 @@
-"""What differs between a local result and today's configuration, files and code of its name (`experiments.identity`).
+"""What differs between a local result and today's of its name: configuration, files, numerics (`experiments.identity`).
 
 If the configuration differs, its keys are named; if no key differs, a file named in it does. A sweep names its file;
-a flight whose name is not shipped, such as that of a user's file, is checked by its code alone.
+a flight whose name is not shipped, such as that of a user's file, is checked by the versions of its numbers alone.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any
 
 from experiments import Refused, manifest
 from experiments.cfd.settings import FlowConfig
-from experiments.identity import other_code
-from experiments.sources import code_hash, file_hash
+from experiments.identity import other_numerics
 from jax_aero import rust
-from jax_aero.base import documents, places, plain, tables
+from jax_aero.base import documents, kinds, places, plain, tables
 from jax_aero.base.files import read_json
+from jax_aero.base.named import file_hash
 
 MOST = 4
 """Greatest number of differing keys that are named."""
@@ -27,27 +27,24 @@ WITH_FILES = {"cfd_flow": FlowConfig}
 
 def result(kind: str, folder: Path) -> str:
     """Return the difference of a result: of a `flight`, of `sweeps` or a kind of study; empty if there is none."""
-    name = folder.name
-    if kind == "sweeps":
-        from experiments.sweep import run
-
-        return sweep(folder, read_json(folder / run.SWEEP_FILE, documents.SweepUnderWay))
     try:
-        document = read_json(folder / places.MANIFEST_FILE, documents.Manifest)
+        document = read_json(folder / kinds.find(kind).manifest, documents.Manifest)
     except Refused:
         return "no manifest that says what it was made of"
-    return flight(name, document) if kind == "flight" else study(kind, name, document)
+    if kind == "sweeps":
+        return sweep(folder, document)
+    return flight(folder.name, document) if kind == "flight" else study(kind, folder.name, document)
 
 
 def flight(name: str, document: Mapping[str, Any]) -> str:
-    """Return the difference of a flight's manifest from the experiment of this name, or else in code."""
+    """Return the difference of a flight's manifest from the experiment of this name, or else in numerics."""
     if document.get("overrides"):  # beside that of the experiment, as with --out
-        return _code(document)
-    return _configuration(name, document.get("config_digest"), document.get("config")) or _code(document)
+        return other_numerics(document)
+    return _configuration(name, document.get("config_digest"), document.get("config")) or other_numerics(document)
 
 
 def sweep(folder: Path, document: Mapping[str, Any]) -> str:
-    """Return the difference of a result's description from its file, or the sweep of its name, or else in code."""
+    """Return the difference of a result's description from its file, or the sweep of its name, or else in numerics."""
     shipped = places.folder_of("sweeps") / f"{folder.name}.toml"
     file = folder / (document.get("file") or "")
     if (file := file if file.is_file() else shipped).is_file():
@@ -64,14 +61,14 @@ def sweep(folder: Path, document: Mapping[str, Any]) -> str:
             described = run.describe(today)
             kept = {key: document.get(key) for key in described}
             return _list_keys(_differing_keys(kept, described)) or "the flights of its cells, or a file that they name"
-    return _code(document)
+    return other_numerics(document)
 
 
 def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
-    """Return the difference of a study's manifest in configuration, flights, files and code."""
+    """Return the difference of a study's manifest in configuration, flights, files and numerics."""
     config, sources = document.get("config", {}), document.get("sources")
     if sources is None:  # of trainings and CFD, whose data are no part of this project
-        return _code(document)
+        return other_numerics(document)
     found = []
     if kind in WITH_FILES and name in places.names(kind):
         today = plain.to_builtins(tables.load(places.find(kind, name), WITH_FILES[kind]))
@@ -82,7 +79,7 @@ def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
     for path, digest in sources["files"].items():
         file = places.HOME / path
         found.append(path if file.is_file() and file_hash(file) != digest else "")
-    return "; ".join(filter(None, found)) or _code(document)
+    return "; ".join(filter(None, found)) or other_numerics(document)
 
 
 def _configuration(name: str, digest: str | None, kept: Mapping[str, Any] | None) -> str:
@@ -95,15 +92,6 @@ def _configuration(name: str, digest: str | None, kept: Mapping[str, Any] | None
     if kept is None:
         return "its configuration"
     return _list_keys(_differing_keys(kept, manifest.make_portable(today))) or "a file that it names"
-
-
-def _code(document: Mapping[str, Any]) -> str:
-    """Return that a result was made by other code than today's; empty if it was not."""
-    try:
-        is_same = code_hash(*document.get("modules", ())) == document.get("code_hash")
-    except Refused:  # of modules that are no longer there
-        is_same = False
-    return "" if is_same else other_code(document)
 
 
 def _differing_keys(kept: Mapping[str, Any], today: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

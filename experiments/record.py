@@ -27,7 +27,8 @@ from jax_aero.base.files import (
     write_json,
     write_netcdf,
 )
-from jax_aero.base.places import MANIFEST_FILE, RUN_FILE
+from jax_aero.base.kinds import KINDS
+from jax_aero.base.places import MANIFEST_FILE, RUN_FILE, SWEEP_FILE
 from jax_aero.base.result import FlightResult, is_repeated, labels_of
 
 
@@ -96,12 +97,23 @@ def write_run(
     texts: Mapping[str, str | bytes] | None = None,
     more: Callable[[Path], object] = lambda _: None,
 ) -> None:
-    """Write a whole result folder at once; `texts` are additional files by name, and `more` writes others into it."""
-    with complete_folder(folder, replace=replace) as draft:
+    """Write the folder of a result with a dataset; `texts` are additional files by name, and `more` writes others."""
+
+    def write(draft: Path) -> None:
         write_dataset(dataset, draft / RUN_FILE)
         for name, text in (texts or {}).items():
             write_bytes(draft / name, text if isinstance(text, bytes) else text.encode())
         more(draft)
+
+    write_result(folder, manifest, write, replace=replace)
+
+
+def write_result(
+    folder: Path, manifest: Mapping[str, Any], write: Callable[[Path], object], *, replace: bool = False
+) -> None:
+    """Write a whole result folder at once: what `write` puts into it, and the manifest with checksums of that."""
+    with complete_folder(folder, replace=replace) as draft:
+        write(draft)
         files = checksums(draft)
         write_json(draft / MANIFEST_FILE, {**manifest, "files": files})
         if replace and folder.exists() and (others := set(unrelated_files(folder)) - set(files)):
@@ -111,28 +123,40 @@ def write_run(
 def read_manifest(folder: Path, form: Any = documents.Manifest) -> dict[str, Any] | None:
     """Return the manifest of a finished result, or `None` if there is none of this form."""
     try:
-        manifest = read_json(folder / MANIFEST_FILE, form)
+        return read_json(_manifest_of(folder), form)
     except Refused:
         return None
-    return manifest if (folder / RUN_FILE).is_file() else None
 
 
-def find_existing(folder: Path, identity: Identity, form: Any, *, overwrite: bool) -> dict[str, Any] | None:
+def _manifest_of(folder: Path) -> Path:
+    sweep = folder / SWEEP_FILE
+    return sweep if os.path.lexists(sweep) else folder / MANIFEST_FILE
+
+
+def files_of(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Return the checksums of the files of a result, by its manifest."""
+    return dict(manifest.get("finished", manifest).get("files") or {})
+
+
+def find_existing(
+    folder: Path, identity: Identity, form: Any, *, overwrite: bool, quiet: bool = False
+) -> dict[str, Any] | None:
     """Return the manifest of a finished result of this identity; `None` if there is none, or it is to be replaced.
 
-    A result of another identity, and a damaged one, are refused without `overwrite`.
+    A result of another identity, and a damaged one, are refused without `overwrite`. It says so unless `quiet`.
     """
     finished = None if overwrite else read_manifest(folder, form)
     if finished is None or identity.difference(finished) == ANOTHER:
         check_replaceable(folder, lambda _: False, overwrite=overwrite)
         return None
     shown = os.path.relpath(folder)
-    if name := find_damaged(folder, finished.get("files", {})):
+    if name := find_damaged(folder, files_of(finished)):
         raise Refused(f"{shown}/{name} is not what was written there; --overwrite makes it again")
     if difference := identity.difference(finished):
         raise Refused(f"{shown} was made by {difference}; --overwrite makes it again")
     commit = (finished.get("git") or {}).get("commit") or "unknown"
-    print(f"{shown} is finished already (commit {commit[:10]}); --overwrite makes it again")
+    if not quiet:
+        print(f"{shown} is finished already (commit {commit[:10]}); --overwrite makes it again")
     return finished
 
 
@@ -153,9 +177,10 @@ def check_replaceable(folder: Path, is_equal: Callable[[Mapping[str, Any]], bool
 
 def _damage(folder: Path) -> str:
     """Return what is wrong with the manifest of a folder, in parentheses; empty if it is whole or not there."""
+    path = _manifest_of(folder)
     try:
-        if os.path.lexists(folder / MANIFEST_FILE):
-            read_json(folder / MANIFEST_FILE, documents.Manifest)
+        if os.path.lexists(path):
+            read_json(path, documents.Manifest)
     except Refused as reason:
         return f" ({reason})"
     return ""
@@ -168,6 +193,8 @@ def unrelated_files(folder: Path) -> list[str]:
     """
     if folder.is_file():
         return [folder.name]
-    own = {RUN_FILE, MANIFEST_FILE, *((read_manifest(folder) or {}).get("files") or {})}
+    kinds = [*KINDS.values()]
+    own = {kind.manifest for kind in kinds} | {name for kind in kinds for name in kind.files}
+    own |= files_of(read_manifest(folder) or {}).keys()
     paths = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
     return sorted(path for path in paths if path not in own)

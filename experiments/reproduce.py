@@ -15,7 +15,7 @@ from pathlib import Path
 from experiments import outdated
 from experiments.report.paper import commands
 from experiments.report.results import FAILED
-from jax_aero.base import places
+from jax_aero.base import kinds, places
 from jax_aero.base.files import write_json
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
@@ -75,14 +75,10 @@ def shown(table: Path | None) -> Iterator[str]:
 
 
 def renewal(line: str) -> str:
-    """Return the option with which a command replaces a result of another configuration or code, if it made one."""
-    word, *names = shlex.split(line)[1:]
-    if word in ("study", "cfd", "data"):
-        word, *names = names
-    kinds = {"fly": "flight", "sweep": "sweeps", "train": "training", "flow": "cfd_flow"}
-    kind = kinds.get(word, word).replace("-", "_")
-    folders = [folder for folder in (places.RESULTS / kind).glob("[!.]*") if folder.is_dir()]
-    is_stale = any(outdated.result(kind, folder) for folder in folders if folder.name in names or not names)
+    """Return the option with which a command replaces a result of another identity, if it made one."""
+    kind, names = kinds.of_line(line)
+    folders = kind.folders(places.RESULTS)
+    is_stale = any(outdated.result(kind.name, folder) for folder in folders if folder.name in names or not names)
     return " --overwrite" if is_stale and "--overwrite" not in names else ""
 
 

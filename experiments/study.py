@@ -22,11 +22,12 @@ from msgspec import structs
 
 from experiments import Refused, manifest, overrides, record
 from experiments.identity import Identity
-from experiments.sources import file_hash
+from experiments.work import Work
 from jax_aero import cli, rust
-from jax_aero.base import places, plain, tables
+from jax_aero.base import kinds, places, plain, tables
 from jax_aero.base.files import lock_work
 from jax_aero.base.keys import parts, set_key
+from jax_aero.base.named import file_hash
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser, complete_with
 
@@ -66,29 +67,24 @@ class Study(Generic[C]):
     about: str | None
     config: type[C]
     compute: Any
-    """Function that returns `Findings`, from name and configuration, and with `progress` also the path of the file of
-    an unfinished study."""
+    """Function that returns `Findings`, from name and configuration, and if it `resumes` also from unfinished work."""
     names: Sequence[str]
     """Studies that are computed if none is named."""
     engine: str = "casadi"
     """Package that does the computation."""
-    interrupted: str = "nothing was written"
-    """Message after Ctrl-C."""
     options: Sequence[str] = ()
     """Additional words of its command line."""
     experiments: bool = False
     """Whether it is named after experiments: it then has no configuration files, but a key `experiment`."""
     reads: Callable[[str, C], Sequence[Path]] = lambda *_: ()
     """Function from name and configuration to the files that the study reads, besides those named in the latter."""
-    progress: str = ""
-    """Suffix of the file of an unfinished study, beside the result, which is removed at the end; empty for none."""
-    words: str = ""
-    """Words of its command; by default those of `jax-aero study KIND`."""
+    resumes: bool = False
+    """Whether an interrupted one goes on where it stopped."""
 
     @property
     def command(self) -> str:
         """Return the words of its command."""
-        return self.words or f"study {self.kind}"
+        return kinds.find(self.kind).command
 
     @property
     def config_kind(self) -> str:
@@ -99,10 +95,6 @@ class Study(Generic[C]):
     def example(self) -> str:
         """Return a key of its configuration with a value."""
         return example_of("" if self.experiments else self.kind, self.config)
-
-    def progress_of(self, folder: Path) -> Path:
-        """Return the file of an unfinished study, given the folder of its result."""
-        return folder.with_name(f".{folder.name}{self.progress}")
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command line; return its exit status."""
@@ -118,7 +110,8 @@ class Study(Generic[C]):
             for name in given.names:
                 self.run(name, overrides.parse(given.set), named=given.named, overwrite=given.overwrite)
 
-        return exit_status(work, interrupted=self.interrupted)
+        goes_on = "the same command goes on where this one stopped"
+        return exit_status(work, interrupted=goes_on if self.resumes else "nothing was written")
 
     def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
         """Return name and configuration of a study given by name or path."""
@@ -154,15 +147,15 @@ class Study(Generic[C]):
         with lock_work(folder):
             read = [*tables.files(config), *self.reads(name, config)]
             record.check_replaceable(folder, lambda kept: _is_of(config, read, kept), overwrite=overwrite)
-            under_way = [self.progress_of(folder)] if self.progress else []
-            findings: Findings = self.compute(name, config, *under_way)
+            table = plain.to_builtins(config)
+            work = Work.on(folder, Identity.of({"config": table}, read))
+            findings: Findings = self.compute(name, config, *([work] if self.resumes else []))
             timings = {**findings.timings, "all": time.perf_counter() - started}
             flights = {key: rust.config_digest(flight) for key, flight in findings.flights.items()}
             flights |= findings.results
             files = [*read, *findings.files]
-            table, inputs = plain.to_builtins(config), findings.inputs
-            modules = [self.compute.__module__]
-            identity = Identity.of({"config": table, "inputs": inputs, "flights": flights}, modules, files)
+            inputs = findings.inputs
+            identity = Identity.of({"config": table, "inputs": inputs, "flights": flights}, files)
             document = manifest.build(
                 folder.name,
                 findings.title,
@@ -181,8 +174,7 @@ class Study(Generic[C]):
             )
             dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=identity.digest)
             record.write_run(folder, dataset, document, replace=True, texts=findings.texts)
-            for path in under_way:
-                path.unlink(missing_ok=True)
+            work.clear()
         print(f"{findings.title}\n{findings.report or listing(findings.summary)}")
         print(f"{manifest.make_portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
         return document

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 __version__: str
 MODES: dict[str, int]
+NUMERICS: int
 SETTLING_TIME: float
 
 class PanicException(RuntimeError): ...

@@ -40,6 +40,7 @@ from numpy.typing import ArrayLike, NDArray
 from jax_aero import _core, own
 from jax_aero._core import (
     MODES,
+    NUMERICS,
     SETTLING_TIME,
     BoxQpSolver,
     ControllerState,
@@ -61,6 +62,7 @@ from jax_aero.body import spatial
 
 __all__ = [
     "MODES",
+    "NUMERICS",
     "SETTLING_TIME",
     "BoxQpSolver",
     "Command",

@@ -31,7 +31,7 @@ DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
-    finished = {path.parent.name for path in given.sweeps.glob("*/cells.parquet")}
+    finished = {path.parent.name for path in given.sweeps.glob("[!.]*/cells.parquet")}
     known = [*FIGURES, *SWEEPS, *sorted(finished - {*SWEEPS, *FIGURES})]
     is_all = given.names in ([], ["all"])
     names = [name for name in known if not _is_of_any(name)] if is_all else given.names
@@ -91,7 +91,9 @@ def _check(name: str, given: argparse.Namespace) -> str:
     found = {folder.name: outdated.result(kind, folder) for folder in chosen if folder.is_dir()}
     stale = "; ".join(f"{folder} ({differs})" for folder, differs in found.items() if differs)
     if stale and not given.stale:
-        raise runs.NotDrawn(f"made of another configuration or code than today's: {stale}; make it again, or --stale")
+        raise runs.NotDrawn(
+            f"made of another configuration or numerics than today's: {stale}; make it again, or --stale"
+        )
     return stale
 
 
@@ -140,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--stale",
         action="store_true",
-        help="draw results of another configuration or code too, and say so there",
+        help="draw results of another configuration or numerics too, and say so there",
     )
     parser.add_argument(
         "--paired", metavar="AXIS", help="of sweeps: differences of an axis' levels to the first one, on the same draws"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from jax_aero.base import kinds
 from paper_figs import runs, tunnel
 
 
@@ -34,9 +35,8 @@ class Entry:
     @property
     def commands(self) -> list[str]:
         """Return the commands that make the results; none if committed tables are shown."""
-        if self.kind == "flight":
-            return [f"jax-aero fly {' '.join(self.runs)}"]
-        return [runs.study_command(self.kind, name) for name in self.runs]
+        kind = kinds.find(self.kind)
+        return [kind.line(" ".join(self.runs))] if self.kind == "flight" else [kind.line(name) for name in self.runs]
 
     def folders(self, results: Path, names: Sequence[str] = ()) -> list[Path]:
         """Return the folders of the results that it shows."""

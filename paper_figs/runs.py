@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from jax_aero.base import run_file
+from jax_aero.base import kinds, run_file
 from jax_aero.base.places import RESULTS, RUN_FILE, is_path
 from jax_aero.base.terminal import Refused
 from paper_figs import style
@@ -97,8 +97,9 @@ def load(results: Path, name: str, label: str | None = None) -> Run:
     if is_path(name) and not path.is_file():
         raise MissingRun(f"no flight in `{name}`; expected the folder of one")
     if not path.is_file():
+        fly = kinds.find("flight")
         elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
-        raise MissingRun(f"no flight `{name}` in {results}; fly it with: jax-aero fly {result_words(name, elsewhere)}")
+        raise MissingRun(f"no flight `{name}` in {results}; fly it with: {fly.line(name, options=elsewhere)}")
     data = read(path)
     return Run(path.parent.name, data) if label is None else Run(escape_text(label), data.assign_attrs(title=label))
 
@@ -107,23 +108,8 @@ def load_study(results: Path, kind: str, name: str) -> xr.Dataset:
     """Read a study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
     path = folder_of(results, kind, name) / RUN_FILE
     if not path.is_file():
-        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {study_command(kind, name)}")
+        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {kinds.find(kind).line(name)}")
     return read(path).assign_attrs(name=name)
-
-
-def study_command(kind: str, name: str) -> str:
-    """Return the command that makes a study."""
-    word = {"training": "train", "cfd_flow": "cfd flow", "cfd_taps": "cfd taps", "fit_aero": "data fit-aero"}.get(
-        kind, f"study {kind}"
-    )
-    options = {"training": " --dataset FILE", "trim": " --map"}.get(kind, "")
-    return f"jax-aero {word} {result_words(name, options)}"
-
-
-def result_words(name: str, options: str = "") -> str:
-    """Return the command line words that make a result: `test2--wind.seed=3` is `test2` with an override."""
-    stem, changed, _ = name.partition("--")
-    return f"{stem}{options}" + (" --set ... (the changes in its name)" if changed else "")
 
 
 def read(path: Path) -> xr.Dataset:

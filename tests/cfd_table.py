@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.data import cfd, fit
-from jax_aero.aero.dataset import LINKS, Dataset, tunnel_from_base, wind_direction
+from experiments.data.ironcub import JOINTS, LINKS
+from jax_aero.aero.dataset import Dataset, tunnel_from_base, wind_direction
 
 Array = NDArray[np.float64]
 Row = tuple[str, float, float, Array]
@@ -36,7 +37,7 @@ def made_up_dataset(postures: Mapping[str, Array], pitch: Array, yaw: Array, are
         force_area_b=np.broadcast_to(areas, (n, len(more.get("links", LINKS)), 3)),
         speed=np.full(n, 17.0),
         air_density=np.full(n, 1.225),
-        **more,
+        **{"joints": JOINTS, "links": LINKS, **more},
     )
 
 

@@ -1,11 +1,10 @@
 """Compute aerodynamic forces and couples on the links with OpenFOAM: `jax-aero cfd NAME`.
 
 A design (configs/cfd/NAME.toml) names postures, winds and settings. A posture is meshed once for all of its winds.
-Every case is stored in `results/cfd/NAME/cases/` as soon as it is computed, so the same command resumes an interrupted
-run. Finally `dataset.nc` is written with the accepted cases, in the format of `import-cfd`, and `manifest.json` with
-the refused ones and the reasons. Needs OpenFOAM: apt-get install openfoam.
-`--cluster ray` computes several postures at a time; the cases of a posture are stored when all its winds are computed.
-A complete set of cases from other code is kept; a folder with an incomplete one is refused.
+Every case is kept as soon as it is computed, so the same command resumes an interrupted run. Finally the result is
+written: `dataset.nc` with the accepted cases, in the format of `import-cfd`, `cases.json` with all, and `manifest.json`
+with the refused ones and the reasons. Needs OpenFOAM: apt-get install openfoam.
+`--cluster ray` computes several postures at a time; the cases of a posture are kept when all its winds are computed.
 """
 
 from __future__ import annotations
@@ -16,29 +15,29 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
-from experiments import Refused, manifest, overrides, study
-from experiments.cfd import foam, geometry
+from experiments import Refused, manifest, overrides, record, study
+from experiments.cfd import foam
 from experiments.cfd.design import KIND, Case, Design
 from experiments.cfd.geometry import Surface
 from experiments.cfd.settings import Settings
 from experiments.cfd.simulate import Result, simulate
 from experiments.cluster import Ray, add_options
 from experiments.data.cfd import checks
-from experiments.identity import ANOTHER, Identity
+from experiments.data.ironcub import JOINTS
+from experiments.identity import PYTHON, Identity
+from experiments.work import Work
 from jax_aero.aero.dataset import Dataset, Floats, save
-from jax_aero.base import documents, places, plain, tables
-from jax_aero.base.files import lock, read_json, write_json
+from jax_aero.base import places, plain, tables
+from jax_aero.base.files import lock_work, read_json, write_json
 from jax_aero.base.terminal import exit_status, terminal
 from jax_aero.cli import Parser
 
-RESULTS = places.RESULTS / KIND
-MODULES = geometry.__name__, simulate.__module__
-"""Modules whose code, including imports, determines a case."""
+RESULTS, CASES = places.RESULTS / KIND, "cases.json"
 Simulate = Callable[[Mapping[str, Surface], Iterable[Floats], Settings, Path], Iterator[Result]]
 
 
@@ -86,24 +85,23 @@ def dataset_of(name: str) -> Path:
 def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluster: Ray | None = None) -> None:
     """Compute the missing cases of a design, on this machine or on a cluster, where each posture is a task."""
     settings, surfaces = design.spec.settings, design.surfaces
-    with lock(folder), tqdm(desc=design.name, unit="case", file=terminal(), disable=None) as bar:
-        bar.reset(total=sum(1 for _ in design))
-        left = {
-            name: [case for case in cases if not _path(folder, case).is_file()] for name, cases in design.cases.items()
-        }
+    with lock_work(folder), tqdm(desc=design.name, unit="case", file=terminal(), disable=None) as bar:
+        record.check_replaceable(folder, lambda kept: not _identity(design).difference(kept), overwrite=False)
+        work, known = Work.on(folder, _identity(design)), read_cases(design, folder)
+        left = {name: [case for case in cases if case not in known] for name, cases in design.cases.items()}
         missing = {name: cases for name, cases in left.items() if cases}
-        _begin(design, folder)
-        bar.update(bar.total - sum(map(len, missing.values())))
+        bar.reset(total=sum(1 for _ in design))
+        bar.update(len(known))
         jobs = {name: Job(surfaces[name], [case.wind_b for case in cases]) for name, cases in missing.items()}
         shared = simulator, settings
         solved: Iterable[tuple[str, Iterable[Result]]] = (
             (name, _solve_posture(*shared, job)) for name, job in jobs.items()
         )
         if cluster:
-            solved = cluster.spread(_solve_remotely, shared, jobs, (__name__,), settings.solver.ranks)
+            solved = cluster.spread(_solve_remotely, shared, jobs, settings.solver.ranks)
         for name, results in solved:
             for case, result in zip(missing[name], results, strict=True):
-                write_json(_path(folder, case), plain.to_builtins(result))
+                work.write_json(case.name, plain.to_builtins(result))
                 bar.update()
 
 
@@ -125,37 +123,21 @@ def _solve_remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]
     return list(_solve_posture(*shared, job))
 
 
-def _begin(design: Design, folder: Path) -> None:
-    """Mark a folder without cases as this design's; refuse one with cases of another design or code."""
-    if any((folder / "cases").glob("*.json")):
-        _check(design, folder)
-    else:
-        facts = _identity(design).facts
-        write_json(folder / "design.json", {**facts, "settings": plain.to_builtins(design.spec.settings)})
-
-
-def _check(design: Design, folder: Path) -> None:
-    """Refuse cases of another design or code."""
-    difference = _identity(design).difference(read_json(folder / "design.json", documents.CasesHeader))
-    if difference:
-        what = "of other settings" if difference == ANOTHER else f"that were computed by {difference}"
-        raise Refused(f"{os.path.relpath(folder)} holds cases {what}; choose another --out, or remove them")
-
-
 def _identity(design: Design) -> Identity:
-    return Identity(design.digest, MODULES)
+    return Identity(design.digest, (PYTHON,))
 
 
 def collect(design: Design, folder: Path) -> str:
-    """Write the dataset of the accepted cases and the manifest; return a message."""
-    found, accepted = read_cases(design, folder)
+    """Write the result from the cases that are there; return a message."""
+    found, identity = read_cases(design, folder), _identity(design)
+    accepted = accepted_cases(design, folder)
     dataset = to_dataset(design, accepted)
-    save(dataset, folder / "dataset.nc")
-    refused = {case.file.removesuffix(".json"): result.reason for case, result in found.items() if result.reason}
+    refused = {case.name: result.reason for case, result in found.items() if result.reason}
+    missing = sum(1 for _ in design) - len(found)
     summary = {
         "accepted": len(accepted),
         "refused": len(refused),
-        "not computed": sum(1 for _ in design) - len(found),
+        "not computed": missing,
         "postures": len(dataset.postures),
     }
     quality = {name: float(np.median(values)) for name, values in dataset.quality.items()}
@@ -163,7 +145,7 @@ def collect(design: Design, folder: Path) -> str:
         design.name,
         design.spec.title,
         plain.to_builtins(design.spec),
-        _identity(design),
+        identity,
         summary=summary,
         command=["jax-aero", KIND, design.name, *overrides.options(design.changes, design.named)],
         engine="openfoam",
@@ -171,22 +153,39 @@ def collect(design: Design, folder: Path) -> str:
         quality=quality,
         dataset=dataset.sha256,
     )
-    write_json(folder / places.MANIFEST_FILE, document)
+
+    def write(draft: Path) -> None:
+        save(dataset, draft / "dataset.nc")
+        write_json(draft / CASES, {case.name: plain.to_builtins(result) for case, result in found.items()})
+
+    with lock_work(folder):
+        record.write_result(folder, document, write, replace=True)
+        if not missing:
+            Work.on(folder, identity).clear()
     lines = [f"{design.spec.title}: " + ", ".join(f"{count} {what}" for what, count in summary.items())]
     lines += [f"  {name}: {reason}" for name, reason in refused.items()]
     lines += [f"  {name:<34} {median:.4g}" for name, median in quality.items()]
     return "\n".join([*lines, os.path.relpath(folder / "dataset.nc")])
 
 
-def read_cases(design: Design, folder: Path) -> tuple[dict[Case, Result], dict[Case, Result]]:
-    """Return the computed cases of a design, and the accepted ones, of which there is at least one."""
-    found = {case: _read(_path(folder, case)) for case in design if _path(folder, case).is_file()}
-    if found:
-        _check(design, folder)
-    accepted = {case: result for case, result in found.items() if not result.reason}
+def read_cases(design: Design, folder: Path) -> dict[Case, Result]:
+    """Return the computed cases of a design: those of its result, and of the work on it."""
+    work, stored = Work.on(folder, _identity(design)), dict[str, Any]()
+    if (kept := record.read_manifest(folder)) and not _identity(design).difference(kept):
+        # A result from before `cases.json` has a file of each case.
+        whole = folder / CASES
+        older = {path.stem: read_json(path) for path in (folder / "cases").glob("*.json")}
+        stored = read_json(whole) if whole.is_file() else older
+    found = {case: stored.get(case.name) or work.read_json(case.name) for case in design}
+    return {case: tables.convert(result, Result, case.name) for case, result in found.items() if result}
+
+
+def accepted_cases(design: Design, folder: Path) -> dict[Case, Result]:
+    """Return the accepted cases of a design, of which there is at least one."""
+    accepted = {case: result for case, result in read_cases(design, folder).items() if not result.reason}
     if not accepted:
         raise Refused(f"{os.path.relpath(folder)} has no accepted case of {sum(1 for _ in design)}")
-    return found, accepted
+    return accepted
 
 
 def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
@@ -207,6 +206,7 @@ def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
         speed=np.full(n, air.speed),
         air_density=np.full(n, air.density),
         quality={name: np.array([result.quality[name] for result in results]) for name in results[0].quality},
+        joints=JOINTS,
         links=links,
         provenance={
             "source": f"OpenFOAM (simpleFoam, k-omega SST) around {design.spec.geometry} of the URDF; jax-aero cfd",
@@ -216,11 +216,3 @@ def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
         },
     )
     return replace(data, checks=checks(data))
-
-
-def _path(folder: Path, case: Case) -> Path:
-    return folder / "cases" / case.file
-
-
-def _read(file: Path) -> Result:
-    return tables.convert(read_json(file), Result, file.name)

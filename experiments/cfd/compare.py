@@ -21,9 +21,10 @@ from experiments.cfd.command import dataset_of
 from experiments.cfd.goals import verdicts
 from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
 from experiments.data.import_cfd import POSTURES
+from experiments.data.ironcub import LINKS
 from experiments.study import Findings, Study
 from experiments.training.result import held_out_network, training_of
-from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
+from jax_aero.aero.dataset import Dataset, Floats, Indices, load, tunnel_from_base
 from jax_aero.aero.posture import total_wrench, vector_rms
 from jax_aero.base import places, tables
 from jax_aero.base.places import ROBOT
@@ -64,7 +65,8 @@ class CompareConfig(tables.Table, frozen=True):
 def compute(name: str, config: CompareConfig) -> Findings:
     """Compare."""
     path = config.dataset or dataset_of(name)
-    cases, robot = load(path), load_robot(ROBOT)
+    robot = load_robot(ROBOT)
+    cases = load(path, robot)
     ours = symmetrise(cases)
     summary: dict[str, Any] = {"cases": len(ours), "postures": len(ours.postures)}
     summary |= asymmetry(robot, cases) | couples(robot, ours) | beside_tunnel(ours)
@@ -76,7 +78,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
     summary |= model_errors(robot, models, ours, f"beside the {OPEN}")
     result = to_rows(models, ours)
     if config.table:
-        here, there, rows = match_cases(ours, symmetrise(load(config.table)))
+        here, there, rows = match_cases(ours, symmetrise(load(config.table, robot)))
         summary["cases with a counterpart in the table"] = len(rows)
         all_models = {OPEN: ours.force_area_b, **models}
         at_rows = {model: areas[rows] for model, areas in all_models.items()}
@@ -102,7 +104,6 @@ STUDY = Study(
     ("open",),
     engine="openfoam",
     reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
-    words="cfd compare",
 )
 main = STUDY.main
 
@@ -162,7 +163,7 @@ def errors(robot: RobotModel, areas: Floats, there: Dataset) -> dict[str, float]
     """Return the errors of force areas (N, 13, 3) [m²], base axes, relative to the rows of a table."""
     off = areas - there.force_area_b
     drag, right = (np.einsum("nla,na->n", part, there.wind_b) for part in (areas, there.force_area_b))
-    wrench = total_wrench(robot, there.joint_position_deg, off)
+    wrench = total_wrench(robot, there.joint_position(robot), off)
     return {
         "drag, relative error, mean": float(np.mean(drag / right - 1.0)),
         "drag, relative error, rms": float(np.sqrt(np.mean((drag / right - 1.0) ** 2))),
@@ -190,7 +191,7 @@ def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:
     if data.couple_volume_b is None:
         return {}
     volumes = data.couple_volume_b.sum(axis=1)
-    moment = total_wrench(robot, data.joint_position_deg, data.force_area_b).moment_volume
+    moment = total_wrench(robot, data.joint_position(robot), data.force_area_b).moment_volume
     names = {"forces at link centres": moment, "couples on links": volumes, "both": moment + volumes}
     return {
         f"moment about the centre of mass, {name}, rms [N m at 10 m/s]": NEWTON_METRES * vector_rms(value)

@@ -20,6 +20,7 @@ from experiments.cfd.geometry import Surface, robot_surfaces
 from experiments.cfd.settings import Settings
 from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.data.import_pressures import TAPS
+from experiments.data.ironcub import JOINTS
 from experiments.sweep.design import unit_points
 from jax_aero import rust
 from jax_aero.aero.dataset import Floats, read_postures, wind_direction
@@ -122,9 +123,9 @@ class Case(NamedTuple):
         return wind_direction(self.pitch_deg, self.yaw_deg)
 
     @property
-    def file(self) -> str:
-        """Return the name of the case's file."""
-        return f"{self.posture}_{self.pitch_deg:g}_{self.yaw_deg:g}.json"
+    def name(self) -> str:
+        """Return the name of the case."""
+        return f"{self.posture}_{self.pitch_deg:g}_{self.yaw_deg:g}"
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ class Design:
     def known_postures(self) -> dict[str, Floats]:
         """Return the joint angles (19,) [deg] of all known postures."""
         path = self.spec.joints or POSTURES
-        return known_postures(path=path) if path.suffix == ".toml" else read_postures(path)
+        return known_postures(path=path) if path.suffix == ".toml" else read_postures(path, JOINTS)
 
     @cached_property
     def joints(self) -> dict[str, Floats]:

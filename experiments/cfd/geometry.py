@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments import Refused
+from experiments.data.ironcub import JOINTS, joint_position
 from jax_aero import rust
-from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints
+from jax_aero.aero.dataset import Floats
 from jax_aero.base.files import write_text
 from jax_aero.body.mesh import Mesh, box, revolve
 from jax_aero.body.urdf import Pose
@@ -154,7 +155,7 @@ def check_closed(name: str, triangles: Floats) -> None:
 
 def body_poses(robot: rust.Robot, joint_position_deg: Floats) -> list[Pose]:
     """Return the poses of the bodies relative to the base at joint angles (19,) [deg]; other joints are at zero."""
-    joints = reorder_joints(robot.joint_names, joint_position_deg)
+    joints = joint_position(robot, joint_position_deg)
     for name in JOINTS:
         place = robot.joint_names.index(name)
         angle, (low, high) = joints[place], robot.joint_stops[place]

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from experiments.data.ironcub import joint_position
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
-from jax_aero.aero.dataset import Floats, reorder_joints, wind_direction
+from jax_aero.aero.dataset import Floats, wind_direction
 from jax_aero.base import places, typed
 from jax_aero.base.places import ROBOT
 from jax_aero.body.kinematics import kinematics_at_rest
@@ -52,5 +53,5 @@ def evaluate_areas(robot: RobotModel, table: Mapping[str, Any], joints: Floats, 
             link = link_forces(model, robot, kinematics_at_rest(robot, position), LinkConventions(), wind)
             return link.forces / (0.5 * float(table["air_density"]) * jnp.sum(wind**2))
 
-        areas = jax.jit(jax.vmap(areas_in_wind))(reorder_joints(robot.joint_names, joints), air)
+        areas = jax.jit(jax.vmap(areas_in_wind))(joint_position(robot, joints), air)
         return np.asarray(areas, dtype=np.float64)

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused
-from experiments.cfd.command import dataset_of, folder_of, read_cases, to_dataset
+from experiments.cfd.command import accepted_cases, dataset_of, folder_of, to_dataset
 from experiments.cfd.design import Case, Design
 from experiments.cfd.simulate import Result
 from experiments.cfd.tunnel import points_beside
@@ -51,7 +51,7 @@ def compute(name: str, config: TapsConfig) -> Findings:
     points = run_file.read(path)
     if points.attrs["robot"] != design.spec.taps:
         raise Refused(f"{path} has taps of {points.attrs['robot']}; expected {design.spec.taps or 'none'}, as {name}")
-    _, accepted = read_cases(design, folder_of(design))
+    accepted = accepted_cases(design, folder_of(design))
     data = compare_taps(design, accepted, points)
     return Findings(f"Pressures of `{name}` beside the wind tunnel", data, summary(data), files=[path, TAPS])
 
@@ -64,7 +64,6 @@ STUDY = Study(
     ("mk1_taps",),
     engine="openfoam",
     reads=lambda name, _: [dataset_of(name)],
-    words="cfd taps",
 )
 main = STUDY.main
 

@@ -74,7 +74,7 @@ def compute(name: str, config: TunnelConfig) -> Findings:
     """Compare."""
     path = config.dataset or dataset_of(name)
     robot = load_robot(config.robot)
-    ours = load(path, robot.aero_links.names)
+    ours = load(path, robot)
     rows = list(pair_cases(ours, run_file.read(config.tunnel), axes_of(robot)))
     if not rows:
         raise Refused(f"{config.tunnel} has no point of posture, wind and speed of a case of {path}")
@@ -90,7 +90,6 @@ STUDY = Study(
     ("open",),
     engine="openfoam",
     reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
-    words="cfd tunnel",
 )
 main = STUDY.main
 
@@ -115,7 +114,7 @@ def points_beside(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[t
     """Yield for every case the points (P,) of its posture, speed and wind, and those of its mirror image."""
     marks = points["marks"].values.astype(str)
     winds = wind_direction(points["pitch"].values, points["yaw"].values) @ axes.T
-    images = mirrored_joints(ours.joint_position_deg)
+    images = mirrored_joints(ours.joint_position_deg, ours.joints)
     for case in range(len(ours)):
         same = (points["posture"].values == ours.posture[case]) & ((marks == "") | (marks == SUPPORT))
         same &= np.abs(points["speed"].values - ours.speed[case]) < SPEED
@@ -134,7 +133,7 @@ def compare_cases(robot: RobotModel, ours: Dataset, rows: list[Row]) -> xr.Datas
     volume = np.full((len(rows), 3), np.nan)
     measured = np.stack([row.moment_com.mean(axis=0) for row in rows])
     if np.isfinite(measured).all():
-        volume = total_wrench(robot, data.joint_position_deg, data.force_area_b).moment_volume
+        volume = total_wrench(robot, data.joint_position(robot), data.force_area_b).moment_volume
         if data.couple_volume_b is not None:
             volume = volume + data.couple_volume_b.sum(axis=1)
     drags = [row.force_area @ wind for row, wind in zip(rows, data.wind_b, strict=True)]

@@ -169,6 +169,5 @@ STUDY = Study(
     compute,
     ("sphere", "cylinder", "hovering"),
     engine="openfoam",
-    words="cfd verify",
 )
 main = STUDY.main

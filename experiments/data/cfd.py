@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.data.ironcub import JOINTS, LINKS
 from jax_aero.aero.dataset import (
     MIRROR_AXES,
     Dataset,
@@ -125,6 +126,8 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
         force_area_b=np.einsum("nji,nlj->nli", tunnel_from_base(pitch, yaw), areas_w[:, 1:]),
         speed=np.full(len(rows), SPEED),
         air_density=np.full(len(rows), AIR_DENSITY),
+        joints=JOINTS,
+        links=LINKS,
         provenance={
             "source": source,
             "file_sha256": hashlib.sha256(text.encode()).hexdigest(),
@@ -145,7 +148,7 @@ def checks(dataset: Dataset) -> dict[str, float]:
     repeats = areas[order[1:][same]] - areas[order[:-1][same]]
     _, sizes = np.unique(dataset.group, return_counts=True)
     angles, wind = dataset.joint_position_deg, dataset.wind_b
-    alone = np.all(np.abs(mirrored_joints(angles) - angles) < 1e-6, axis=1)
+    alone = np.all(np.abs(mirrored_joints(angles, dataset.joints) - angles) < 1e-6, axis=1)
     alone &= np.all(np.abs(wind * MIRROR_AXES - wind) < 1e-6, axis=1)
     tilt = mirrored_areas(areas[alone], dataset.links) - areas[alone]
     found: dict[str, float] = {

@@ -45,10 +45,10 @@ def compute(name: str, config: FitConfig) -> Findings:
     """Fit and compare the models."""
     path = config.dataset or dataset_of(name)
     robot = load_robot(config.robot)
-    computed = load(path, robot.aero_links.names)
+    computed = load(path, robot)
     computed = computed.take(~computed.is_mirrored)
     dataset = computed.add_mirror_images()
-    axes = link_axes(robot, dataset.joint_position_deg)
+    axes = link_axes(robot, dataset.joint_position(robot))
     families = fit.families_of(robot)
     fits = fit.fit(dataset, axes, families)
     rows = np.flatnonzero(~dataset.is_mirrored)
@@ -84,7 +84,6 @@ STUDY = Study(
     ("freestream",),
     engine="scikit-learn",
     reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
-    words="data fit-aero",
 )
 main = STUDY.main
 
@@ -110,7 +109,7 @@ class Errors(NamedTuple):
 
 def total_errors(robot: RobotModel, areas: Floats, truth: Dataset) -> Errors:
     """Return the errors of force areas (N, L, 3) [m²], base axes; the couples on links belong to the true moment."""
-    wrench = total_wrench(robot, truth.joint_position_deg, areas - truth.force_area_b)
+    wrench = total_wrench(robot, truth.joint_position(robot), areas - truth.force_area_b)
     moment = wrench.moment_volume
     if truth.couple_volume_b is not None:
         moment = moment - truth.couple_volume_b.sum(axis=1)

@@ -16,7 +16,8 @@ import numpy as np
 
 from experiments import Refused
 from experiments.data.cfd import read_solver_table
-from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
+from experiments.data.ironcub import JOINTS
+from jax_aero.aero.dataset import Dataset, Floats, read_postures, save
 from jax_aero.base import places, tables
 from jax_aero.base.files import read_bytes
 from jax_aero.base.terminal import exit_status
@@ -54,7 +55,7 @@ def keep(dataset: Dataset, out: Path) -> None:
 
 
 def _read(given: argparse.Namespace) -> Dataset:
-    postures = read_postures(given.joints) if given.joints else known_postures()
+    postures = read_postures(given.joints, JOINTS) if given.joints else known_postures()
     if given.clone:
         text, source = from_clone(given.clone, given.commit), f"{TABLE_PATH} at {given.commit}"
     else:

@@ -19,6 +19,7 @@ import xarray as xr
 from experiments import Refused, record
 from experiments.data import tunnel
 from experiments.data.import_cfd import OUT, POSTURES, known_postures, read_table
+from experiments.data.ironcub import joint_position
 from experiments.data.tunnel import Points, Test
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import axes_of, link_frames
@@ -133,7 +134,7 @@ def reduce_moments(points: Points, side: str) -> xr.Dataset:
     known = known_postures(path=POSTURES if points.robot == "mk1" else POSTURES_OF_MK3)
     joints = {name: known[name] for name in dict.fromkeys(points.posture)}
     robot = load_robot(ROBOT if points.robot == "mk1" else MK3)
-    places = link_frames(robot, np.stack(list(joints.values()))).com @ axes_of(robot)
+    places = link_frames(robot, joint_position(robot, np.stack(list(joints.values())))).com @ axes_of(robot)
     return tunnel.reduce_points(points, joints, dict(zip(joints, places, strict=True)), side)
 
 

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from jax_aero.aero.dataset import JOINTS, Floats, number
+from experiments.data.ironcub import JOINTS
+from jax_aero.aero.dataset import Floats, number
 
 GVP_COLUMNS = 86
 GVP_USED = (*range(1, 5), *range(8, 11), 12, *range(14, 20), *range(74, 80))

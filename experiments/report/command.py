@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--index", action="store_true", help="print the documentation's page: the paper, item by item")
     parser.add_argument(
-        "--stale", action="store_true", help="use results of another configuration or code too, and mark them"
+        "--stale", action="store_true", help="use results of another configuration or numerics too, and mark them"
     )
     parser.add_argument("--check", action="store_true", help="status 1 if a verdict is not that of the documentation")
     given = parser.parse_args(arguments)

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from experiments import Refused, backends, outdated
+from experiments.identity import numerics_of
 from experiments.report import judge, kept, pictures
 from experiments.report.kept import ALL, Axis, Kept
 from experiments.report.results import ANOTHER, Results
@@ -51,8 +52,7 @@ def main(arguments: Sequence[str]) -> int:
                 _say(kept.read(name))
             return
         for folder in _chosen(given):
-            kind = "sweeps" if (folder / run.SWEEP_FILE).is_file() else folder.parent.name
-            if folder.is_dir() and (difference := outdated.result(kind, folder)):
+            if folder.is_dir() and (difference := outdated.result(folder.parent.name, folder)):
                 raise Refused(f"{os.path.relpath(folder)} is {ANOTHER} ({difference})")
             document = of_folder(folder, given.named)
             write_text(kept.FOLDER / f"{document.name}.json", kept.to_json(document))
@@ -112,7 +112,7 @@ def of_folder(folder: Path, named: str | None = None) -> Kept:
         created=document["created"],
         commit=_commit(document),
         digest=document["config_digest"],
-        code=document["code_hash"],
+        numerics=numerics_of(document),
         config=document["config"],
         summary=_shorten(document["summary"] | document.get("quality", {})),
     )
@@ -153,7 +153,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
         created=document["finished"]["created"],
         commit=_commit(document),
         digest=document["config_digest"],
-        code=document["code_hash"],
+        numerics=numerics_of(document),
         seed=document["seed"],
         each=_each(document),
         axes=axes,

@@ -57,8 +57,10 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     commit: str | None
     digest: str
     """Digest of the configuration and of the files that it names."""
-    code: str
-    """Digest of the code."""
+    numerics: dict[str, int] = {}
+    """Versions of the numbers of what computed it (`experiments.identity`); the first ones if none is named."""
+    code: str = ""
+    """Digest of the code, of results from before versions whose commit is not known."""
     config: dict[str, Any] = {}
     """Configuration of a study; that of a sweep is its file."""
     seed: int | None = None
@@ -153,7 +155,7 @@ def page(kept: Kept) -> str:
 
 
 def _made(kept: Kept) -> str:
-    unknown = f", code {kept.code} of a commit that is not in the history"
+    unknown = f", code {kept.code} of a commit that is not in the history" if kept.code else ", of changed code"
     commit = f", commit {kept.commit[:10]}" if kept.commit else unknown
     seed = "" if kept.seed is None else f", seed {kept.seed}"
     return f"{kept.created[:10]}{commit}{seed}"

@@ -22,7 +22,7 @@ from jax_aero.rust import SETTLING_TIME
 
 Cell: TypeAlias = Mapping[str, Any]
 
-ANOTHER = "made of another configuration or code than today's"
+ANOTHER = "made of another configuration or numerics than today's"
 """Reason why a verdict is outdated, followed by the difference."""
 FAILED = "failed.json"
 """File of a results folder: the commands of `make reproduce` that failed, each with the reason."""
@@ -37,7 +37,7 @@ class NotFlownError(Exception):
 
 
 class StaleError(NotFlownError):
-    """A result is of another configuration or code than today's, and is therefore refused."""
+    """A result is of another configuration or numerics than today's, and is therefore refused."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Results:
 
     folder: Path
     stale: bool = False
-    """Whether results of another configuration or code are used, and marked, instead of refused."""
+    """Whether results of another configuration or numerics are used, and marked, instead of refused."""
     made: dict[str, Origin] = field(default_factory=dict)
     """Origins of the results that were used, by name."""
 
@@ -197,7 +197,7 @@ class Results:
     def sweeps(self) -> dict[str, Sweep]:
         """Return every finished sweep, by name."""
         found = {}
-        for path in sorted((self.folder / "sweeps").glob("*/cells.parquet")):
+        for path in sorted((self.folder / "sweeps").glob("[!.]*/cells.parquet")):
             described = path.with_name("sweep.json")
             if "finished" in read_json(described):
                 document = read_json(described, documents.FinishedSweep)
@@ -217,7 +217,7 @@ class Results:
 
     @property
     def refused(self) -> dict[str, str]:
-        """Return the flights and sweeps that are of another configuration or code, with the difference."""
+        """Return the flights and sweeps that are of another configuration or numerics, with the difference."""
         return {} if self.stale else {name: differs for name, differs in self.differences.items() if differs}
 
     def flight(self, name: str) -> Flight:

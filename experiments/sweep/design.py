@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from experiments import Refused, manifest
-from experiments.sources import file_hash
 from experiments.sweep import columns, keys, table
 from experiments.sweep.perturbation import members
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust
 from jax_aero.base import plain
+from jax_aero.base.named import file_hash
 from jax_aero.base.terminal import ConfigError
 
 

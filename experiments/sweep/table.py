@@ -17,12 +17,12 @@ import numpy as np
 import pyarrow as pa
 
 from experiments.backends import Failure
-from experiments.sources import file_hash
 from experiments.sweep import columns
 from experiments.sweep.intervals import wilson
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust
 from jax_aero.base.keys import get, set_key
+from jax_aero.base.named import file_hash
 from jax_aero.base.result import LOST, UPRIGHT, FlightResult
 
 Cells: TypeAlias = Sequence[tuple[Level, ...]]

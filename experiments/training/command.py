@@ -9,7 +9,6 @@ An interrupted run is resumed by the same command; a finished one is only replac
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -19,9 +18,10 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments import Refused, manifest, overrides, record, study
-from experiments.identity import Identity
+from experiments.identity import PYTHON, Identity
 from experiments.training import config, parts, result
 from experiments.training.parts import FinishedPart
+from experiments.work import Work
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
@@ -43,7 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/NAME)")
     parser.add_argument("--write", type=Path, metavar="CARD", help="also write weights and card there (…/NAME.json)")
     parser.add_argument("--overwrite", action="store_true", help="train again and replace an existing result")
-    parser.add_argument("--restart", action="store_true", help="discard an unfinished run")
     given = parser.parse_args(arguments)
     return exit_status(lambda: print(table(run(given))), interrupted="the same command goes on where this one stopped")
 
@@ -61,13 +60,13 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         raise Refused(
             f"{path.name}: expected a `patience` of 0: rows held out would choose the weights that they judge"
         )
-    dataset = load(given.dataset, config.robot(training.robot).aero_links.names)
+    dataset = load(given.dataset, training.robot_model)
     if training.mirrored:
         dataset = dataset.add_mirror_images()
     named = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
     folder = resolve(named)
     asked = {"training": document, "data": dataset.sha256}
-    identity = Identity.of(asked, [__name__], [training.robot or config.ROBOT])
+    identity = Identity.of(asked, [training.robot], [PYTHON])
     with lock_work(folder):
         found = record.find_existing(folder, identity, documents.Training, overwrite=given.overwrite)
         if found is None:
@@ -90,7 +89,7 @@ def _train_parts(
     """Train all parts and write the result; return its manifest."""
     started = time.perf_counter()
     todo = list(parts.parts(training, dataset))
-    work = _work_folder(folder, str(identity), restart=given.restart)
+    work = Work.on(folder, identity)
     finished, network = _train(training, dataset, todo, work)
     errors = result.summarise(finished, training.chosen_on, dataset.links)
 
@@ -103,9 +102,9 @@ def _train_parts(
                 seed=training.seed,
                 source=given.dataset.name,
                 held_out=f"final weights: all rows; errors: {_describe_validation(training)}",
-            ) | {"check": result.check_rows(network, config.robot(training.robot), dataset)}
+            ) | {"check": result.check_rows(network, training.robot_model, dataset)}
             card = draft / f"{folder.name}.json"
-            save_network(card, network, config.robot(training.robot), description=training.description, training=facts)
+            save_network(card, network, training.robot_model, description=training.description, training=facts)
 
     timings = {one.part.name: float(one.errors["seconds"]) for one in finished}
     copies = training.ensemble.members if training.ensemble.keep == "mean" else 1
@@ -116,7 +115,7 @@ def _train_parts(
         identity,
         summary={
             "errors": errors,
-            "parameters": training.start(config.robot(training.robot), 0).parameters * copies,
+            "parameters": training.start(0).parameters * copies,
             "seconds_per_epoch": {one.part.name: one.errors["seconds_per_epoch"] for one in finished},
         },
         command=["jax-aero", "train", *sys.argv[2:]],
@@ -124,10 +123,10 @@ def _train_parts(
         dataset=dataset.sha256,
         timings_s=timings | {"this call": time.perf_counter() - started},
     )
-    data = result.to_dataset(config.robot(training.robot), dataset, finished, training.title)
+    data = result.to_dataset(training.robot_model, dataset, finished, training.title)
     data.attrs["config_hash"] = identity.digest
     record.write_run(folder, data, document, replace=given.overwrite, more=save)
-    shutil.rmtree(work)
+    work.clear()
     return document
 
 
@@ -141,9 +140,9 @@ def _describe_validation(training: config.Training) -> str:
 
 
 def _train(
-    training: config.Training, dataset: Dataset, todo: Sequence[parts.Part], work: Path
+    training: config.Training, dataset: Dataset, todo: Sequence[parts.Part], work: Work
 ) -> tuple[list[FinishedPart], Network | None]:
-    robot = config.robot(training.robot)
+    robot = training.robot_model
     finished: list[FinishedPart] = []
     network = None
     is_quiet = not sys.stderr.isatty()
@@ -159,7 +158,7 @@ def _train(
                 bar.update()
 
             # The last part is trained again if needed, since its weights are required.
-            done = parts.recall(work, part, len(dataset.links)) if part.split != "final" else None
+            done = parts.recall(work, part) if part.split != "final" else None
             if done is None:
                 done, network = parts.run(part, training, robot, dataset, work, on_epoch)
                 if part.split != "final":
@@ -176,21 +175,6 @@ def _train(
                     flush=True,
                 )
     return finished, network
-
-
-def _work_folder(folder: Path, identity: str, *, restart: bool) -> Path:
-    work = folder.with_name(f".{folder.name}.work")
-    if restart and work.exists():
-        shutil.rmtree(work)
-    mark = work / "identity"
-    # Without a checkpoint there is nothing to resume, since the run was refused.
-    if any(work.glob("*.checkpoint")) and mark.is_file() and mark.read_text(encoding="utf-8") != identity:
-        raise Refused(
-            f"{work.name} holds an unfinished run with other settings, data or code; finish that one, or add --restart"
-        )
-    work.mkdir(parents=True, exist_ok=True)
-    mark.write_text(identity, encoding="utf-8")
-    return work
 
 
 def table(errors: dict[str, Any]) -> str:

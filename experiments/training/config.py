@@ -13,7 +13,6 @@ from msgspec import Meta
 from jax_aero.aero.network import Activation, Block, Frame, Layout, Network, check_output, init_network
 from jax_aero.base import tables
 from jax_aero.base.keys import set_key
-from jax_aero.base.places import ROBOT as ROBOT
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.train import Settings
@@ -82,6 +81,8 @@ class Training(tables.Table, frozen=True):
 
     title: str
     description: str
+    robot: Path
+    """Robot of the dataset."""
     seed: tables.Seed
     mirrored: bool
     """Whether mirror images are added to the rows."""
@@ -95,16 +96,19 @@ class Training(tables.Table, frozen=True):
     validation: Validation
     distillation: Distillation | None = None
     """Settings for `ensemble.keep = "student"`."""
-    robot: Path | None = None
-    """Robot of the dataset; by default iRonCub-Mk1."""
 
     def __post_init__(self) -> None:
-        known = ("none", *robot(self.robot).aero_links.coefficients)
+        known = ("none", *self.robot_model.aero_links.coefficients)
         if (name := self.network.baseline) not in known:
             raise ConfigError.of("network.baseline", name, f"one of {', '.join(known)}")
         if (self.ensemble.keep == "student") != (self.distillation is not None):
             found = "given" if self.distillation else "absent"
             raise ConfigError.of("distillation", found, "a table with `ensemble.keep = student`, and only there")
+
+    @property
+    def robot_model(self) -> RobotModel:
+        """The robot."""
+        return _load_robot(self.robot)
 
     @property
     def epochs(self) -> int:
@@ -118,8 +122,9 @@ class Training(tables.Table, frozen=True):
         """Whether held-out rows select the weights that are kept."""
         return self.training.patience > 0 or (self.distillation is not None and self.distillation.training.patience > 0)
 
-    def start(self, robot: RobotModel, seed: int) -> Network:
+    def start(self, seed: int) -> Network:
         """Return a network with random weights."""
+        robot = self.robot_model
         shape = self.network
         rows = None if shape.baseline == "none" else robot.aero_links.coefficients[shape.baseline]
         return init_network(
@@ -144,7 +149,4 @@ def read(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Training
     return tables.convert(table, Training, path.name, path.parent), table
 
 
-@functools.cache
-def robot(path: Path | None = None) -> RobotModel:
-    """Return the robot whose links a dataset describes, by default iRonCub-Mk1."""
-    return load_robot(path or ROBOT)
+_load_robot = functools.cache(load_robot)

@@ -19,8 +19,9 @@ import numpy as np
 import xarray as xr
 
 from experiments import manifest, record, study
-from experiments.identity import ANOTHER, Identity
+from experiments.identity import ANOTHER, PYTHON, Identity
 from experiments.training import config, result
+from experiments.work import Work
 from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
@@ -28,10 +29,9 @@ from jax_aero.aero.posture import link_arms, total_wrench, vector_rms
 from jax_aero.base import places, tables
 from jax_aero.base.files import lock_work, resolve, write_json
 from jax_aero.base.terminal import exit_status
-from jax_aero.cli import Parser, count
+from jax_aero.cli import Parser, complete_with, count
 from jax_aero.train import Checkpoint, fit, load_checkpoint, predict_areas, samples_of, save_checkpoint
 
-BASE = places.CONFIGS / "training" / "compact.toml"
 FOLDS = 5
 COVERAGE = 0.9
 SEED = 100
@@ -48,13 +48,17 @@ MEMBERS: tuple[Mapping[str, Any], ...] = (
     {"hidden": [96, 96, 96], "features": ["wind", "joints", "link_shadow"]},
     {"hidden": [64, 96, 64], "baseline": "none"},
 )
-"""Differences of each network from `compact.toml`."""
+"""Differences of each network from the base."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser("train ensemble", __doc__)
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd")
+    about = "training whose robot, network and settings members share (default compact)"
+    complete_with(
+        parser.add_argument("--base", default="compact", metavar="NAME", help=about), lambda: places.names("training")
+    )
     parser.add_argument("--epochs", type=count, default=60, metavar="N", help="epochs of every network (default 60)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/ensemble)")
     parser.add_argument("--overwrite", action="store_true", help="replace the result of another ensemble")
@@ -64,51 +68,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def work() -> None:
         folder = resolve(given.out or places.RESULTS / "training" / "ensemble")
         with lock_work(folder):
-            found = run(given.dataset, given.epochs, folder, given.write, overwrite=given.overwrite)
+            base = study.find("training", given.base)
+            found = run(given.dataset, base, given.epochs, folder, given.write, overwrite=given.overwrite)
         print(study.listing(found["summary"]))
 
     return exit_status(work, interrupted="the same command goes on where this one stopped")
 
 
-def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite: bool = False) -> dict[str, Any]:
+def run(
+    path: Path, base: Path, epochs: int, folder: Path, write: Path | None, *, overwrite: bool = False
+) -> dict[str, Any]:
     """Train, calibrate and write; return the manifest."""
     started = time.perf_counter()
-    robot, dataset = config.robot(), load(path).add_mirror_images()
-    trainings = [member_training(changes, epochs) for changes in MEMBERS]
+    trainings = [member_training(base, changes, epochs) for changes in MEMBERS]
+    robot = trainings[0].robot_model
+    dataset = load(path, robot).add_mirror_images()
     asked = {"members": list(MEMBERS), "epochs": epochs, "data": dataset.sha256}
-    identity = Identity.of(asked, [__name__], [config.ROBOT, BASE])
-    digest = identity.digest
+    identity = Identity.of(asked, [base], [PYTHON])
     record.check_replaceable(folder, lambda kept: identity.difference(kept) != ANOTHER, overwrite=overwrite)
-    work = folder.with_name(f".{folder.name}.{digest[:12]}{identity.code}")
-    work.mkdir(parents=True, exist_ok=True)
+    work = Work.on(folder, identity)
     predicted = np.zeros((len(MEMBERS), len(dataset), *dataset.force_area_b.shape[1:]), np.float32)
     for fold, (train, held_out) in enumerate(dataset.grouped_folds(0, FOLDS)):
         for number, training in enumerate(trainings):
-            file = work / f"fold-{fold}-member-{number}.checkpoint"
-            kept = load_checkpoint(file, predicted[number, held_out], digest)
+            job = f"fold-{fold}-member-{number}"
+            kept = load_checkpoint(work.path(job), work.seal_of(job), 0)
             if kept is None:
                 network = train_member(number, training, dataset.take(leave_one_out(dataset, train, fold + number)))
                 areas = predict_areas(network, robot, dataset.take(held_out)).astype(np.float32)
-                kept = Checkpoint(digest, epochs, areas, {})
-                save_checkpoint(file, kept)
-                print(
-                    f"fold {fold}, member {number}: {time.perf_counter() - started:.0f} s", file=sys.stderr, flush=True
-                )
+                kept = Checkpoint(areas, {})
+                save_checkpoint(work.path(job), work.seal_of(job), kept)
+                print(f"{job}: {time.perf_counter() - started:.0f} s", file=sys.stderr, flush=True)
             predicted[number, held_out] = kept.state
-    totals = [total_wrench(robot, dataset.joint_position_deg, areas.astype(np.float64)) for areas in predicted]
-    truth = total_wrench(robot, dataset.joint_position_deg, dataset.force_area_b)
+    totals = [total_wrench(robot, dataset.joint_position(robot), areas.astype(np.float64)) for areas in predicted]
+    truth = total_wrench(robot, dataset.joint_position(robot), dataset.force_area_b)
     found = {
         name: intervals(np.stack([getattr(one, key) for one in totals]), getattr(truth, key), dataset.family)
         for name, key in (("force", "force_area"), ("moment", "moment_volume"))
     }
-    arms = link_arms(robot, dataset.joint_position_deg)
+    arms = link_arms(robot, dataset.joint_position(robot))
     summary = summarise(predicted, dataset, found)
     summary["links: half width of factors that widen the draws"] = link_half_width(
         found["moment"], np.cross(arms, dataset.force_area_b)
     )
     if write is not None:
         write_members(write, trainings, dataset, found, summary, path.name)
-    data = to_dataset(dataset, totals, truth, digest)
+    data = to_dataset(dataset, totals, truth, identity.digest)
     settings = {"members": [dict(one) for one in MEMBERS], "epochs": epochs, "folds": FOLDS}
     document = manifest.build(
         "ensemble",
@@ -121,27 +125,27 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite:
         dataset=dataset.sha256,
         timings_s={"this call": time.perf_counter() - started},
     )
-    record.write_run(folder, data, document, replace=True)
+    record.write_run(folder, data, document, replace=True)  # the work stays: a later --write does not train the folds
     return document
 
 
-def member_training(changes: Mapping[str, Any], epochs: int) -> config.Training:
+def member_training(base: Path, changes: Mapping[str, Any], epochs: int) -> config.Training:
     """Return the settings of one network."""
-    table = tables.read(BASE)
+    table = tables.read(base)
     table["network"] |= dict(changes)
     blocks = table["network"]["features"]
     noise = table["training"]["noise"] | JOINT_NOISE
     table["training"] |= {"epochs": epochs, "noise": {block: noise[block] for block in blocks}}
     table["ensemble"] = {"members": 1, "keep": "mean"}
     del table["distillation"]
-    return tables.convert(table, config.Training, BASE.name)
+    return tables.convert(table, config.Training, base.name, base.parent)
 
 
 def train_member(number: int, training: config.Training, rows: Dataset) -> Network:
     """Train one network from random initial weights."""
     seed = SEED + number
-    start = training.start(config.robot(), seed)
-    return fit(start, samples_of(start, config.robot(), rows), None, training.training, seed).network
+    start = training.start(seed)
+    return fit(start, samples_of(start, training.robot_model, rows), None, training.training, seed).network
 
 
 def leave_one_out(dataset: Dataset, rows: Indices, number: int) -> Indices:
@@ -232,7 +236,7 @@ def write_members(
     source: str,
 ) -> None:
     """Write weights and cards of networks trained on all postures but one each, and their calibration."""
-    robot = config.robot()
+    robot = trainings[0].robot_model
     everything = np.arange(len(dataset), dtype=np.int64)
     for number, training in enumerate(trainings):
         rows = dataset.take(leave_one_out(dataset, everything, number))

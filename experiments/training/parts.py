@@ -6,7 +6,6 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy.typing as npt
 
 from experiments import Refused
 from experiments.training.config import Training
+from experiments.work import Work
 from jax_aero.aero.dataset import Dataset, Floats, Indices
 from jax_aero.aero.network import Layer, Network
 from jax_aero.aero.posture import total_wrench, vector_rms
@@ -81,12 +81,12 @@ def parts(training: Training, dataset: Dataset) -> Iterator[Part]:
 
 
 def run(
-    part: Part, training: Training, robot: RobotModel, dataset: Dataset, work: Path, on_epoch: OnEpoch
+    part: Part, training: Training, robot: RobotModel, dataset: Dataset, work: Work, on_epoch: OnEpoch
 ) -> tuple[FinishedPart, Network]:
     """Train one part, resuming from its checkpoints."""
     started = time.perf_counter()
     rows, held_out = dataset.take(part.train), dataset.take(part.held_out)
-    model = training.start(robot, training.seed)
+    model = training.start(training.seed)
     samples = samples_of(model, robot, rows)
     unseen = samples_of(model, robot, held_out) if len(held_out) else None
     curves: dict[str, list[list[float | None]]] = {}
@@ -94,12 +94,12 @@ def run(
 
     def fit_part(name: str, samples: Samples, settings: Settings, seed: int) -> FitResult:
         found = fit(
-            training.start(robot, seed),
+            training.start(seed),
             samples,
             unseen,
             settings,
             seed,
-            checkpoint=work / f"{part.name}-{name}.checkpoint",
+            checkpoint=work.path(f"{part.name}-{name}"),
             on_epoch=lambda _, train, error: on_epoch(train, error),
         )
         curves[f"{part.name}-{name}"] = [list(row) for row in found.curves]
@@ -145,8 +145,8 @@ def mean_of(members: list[Network]) -> Network:
 def _errors(robot: RobotModel, predicted: Floats, held_out: Dataset) -> dict[str, Any]:
     square = (predicted - held_out.force_area_b) ** 2
     spread = float(np.mean((held_out.force_area_b - held_out.force_area_b.mean(axis=0)) ** 2))
-    off = total_wrench(robot, held_out.joint_position_deg, predicted - held_out.force_area_b)
-    present = total_wrench(robot, held_out.joint_position_deg, held_out.force_area_b)
+    off = total_wrench(robot, held_out.joint_position(robot), predicted - held_out.force_area_b)
+    present = total_wrench(robot, held_out.joint_position(robot), held_out.force_area_b)
     return {
         "mse": float(square.mean()),
         "r2": 1.0 - float(square.mean()) / spread,
@@ -158,16 +158,15 @@ def _errors(robot: RobotModel, predicted: Floats, held_out: Dataset) -> dict[str
     }
 
 
-def keep(work: Path, finished: FinishedPart) -> None:
-    """Store a finished part and delete its checkpoints."""
+def keep(work: Work, finished: FinishedPart) -> None:
+    """Store a finished part, whose checkpoints are then not needed."""
     name, facts = finished.part.name, {"errors": finished.errors, "curves": finished.curves}
-    save_checkpoint(work / f"{name}.checkpoint", Checkpoint(name, 0, finished.areas, facts))
-    for path in work.glob(f"{name}-*.checkpoint"):
-        path.unlink()
+    save_checkpoint(work.path(name), work.seal_of(name), Checkpoint(finished.areas, facts))
+    for network in finished.curves:
+        work.path(network).unlink(missing_ok=True)
 
 
-def recall(work: Path, part: Part, links: int) -> FinishedPart | None:
-    """Return a part that was finished earlier, or `None`, given the number of links."""
-    areas = np.zeros((len(part.held_out), links, 3), np.float32)
-    found = load_checkpoint(work / f"{part.name}.checkpoint", areas, part.name)
+def recall(work: Work, part: Part) -> FinishedPart | None:
+    """Return a part that was finished earlier, or `None`."""
+    found = load_checkpoint(work.path(part.name), work.seal_of(part.name), 0)
     return FinishedPart(part, areas=np.asarray(found.state), **found.facts) if found else None

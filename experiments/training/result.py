@@ -15,7 +15,7 @@ from experiments import Refused, record
 from experiments.data import fit
 from experiments.data.import_cfd import COMMIT
 from experiments.training.parts import FinishedPart
-from jax_aero.aero.dataset import JOINTS, Dataset, Floats
+from jax_aero.aero.dataset import Dataset, Floats
 from jax_aero.aero.network import Network, with_precision
 from jax_aero.aero.posture import link_axes
 from jax_aero.base import places, run_file
@@ -103,7 +103,7 @@ def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str], links:
 def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[FinishedPart], title: str) -> xr.Dataset:
     """Return predictions of the first seed of each split, those of the axisymmetric model, and all loss curves."""
     areas = dataset.force_area_b.astype(np.float32)
-    axes = link_axes(robot, dataset.joint_position_deg)
+    axes = link_axes(robot, dataset.joint_position(robot))
     variables: dict[str, Any] = {
         "area": (("row", "link", "xyz"), areas, _unit("force area, as given")),
         "wind": (("row", "xyz"), dataset.wind_b, {"units": "1", "long_name": "unit wind, base axes"}),
@@ -147,7 +147,7 @@ def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[FinishedP
         "is_mirrored": ("row", dataset.is_mirrored.astype("i1")),
         "pitch": ("row", dataset.pitch_deg, {"units": "degree"}),
         "yaw": ("row", dataset.yaw_deg, {"units": "degree"}),
-        "joint": list(JOINTS),
+        "joint": list(dataset.joints),
         "link": list(dataset.links),
         "xyz": ["x", "y", "z"],
         "curve": list(curves),
@@ -192,7 +192,7 @@ def check_rows(network: Network, robot: RobotModel, dataset: Dataset) -> list[di
     some = dataset.take(np.array([0, len(dataset) // 3, len(dataset) // 3]))
     joints = some.joint_position_deg.copy()
     wind = some.wind_b.copy()
-    joints[-1] = np.linspace(-30.0, 30.0, len(JOINTS))
+    joints[-1] = np.linspace(-30.0, 30.0, len(dataset.joints))
     wind[-1] = np.array([2.0, -3.0, 6.0]) / 7.0
     some = replace(some, joint_position_deg=joints, wind_b=wind)
     with jax.enable_x64(True):

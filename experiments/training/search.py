@@ -3,8 +3,7 @@
 A file of `configs/training_search/` names a training file and ranges for some of its keys. A trial trains one network
 per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out:
 of the weights that are kept, with patience the best ones.
-Trials are stored in a SQLite file, so a search can be resumed. A trial that was interrupted counts as failed, and is
-drawn again.
+An interrupted search goes on with the next trial, and a finished one with --trials of more.
 """
 
 from __future__ import annotations
@@ -14,23 +13,24 @@ import copy
 import csv
 import io
 import json
-import os
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
 import optuna
 from msgspec.structs import replace
 
-from experiments import Refused, manifest, study
-from experiments.identity import Identity
+from experiments import manifest, record, study
+from experiments.identity import PYTHON, Identity
 from experiments.training import config
+from experiments.work import Work
 from jax_aero.aero.dataset import Dataset, load
-from jax_aero.base import documents, places, plain, tables
-from jax_aero.base.files import lock, read_json, resolve, write_json, write_text
+from jax_aero.base import places, plain, tables
+from jax_aero.base.files import lock_work, resolve, write_text
 from jax_aero.base.keys import set_key
 from jax_aero.base.terminal import ConfigError, exit_status
 from jax_aero.cli import Parser, count
@@ -90,6 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--trials", type=count, metavar="N", help="stop when there are so many (default: what the file says)"
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training_search/NAME)")
+    study.add_overwrite(parser)
     given = parser.parse_args(arguments)
     return exit_status(lambda: run(given), interrupted="the same command goes on with the next trial")
 
@@ -99,58 +100,43 @@ def run(given: argparse.Namespace) -> None:
     path = study.find("training_search", given.name)
     settings = tables.load(path, SearchConfig)
     base = tables.read(settings.base)
-    dataset = load(given.dataset)
+    robot = replace_keys(settings.base, base, {}).robot_model
+    dataset = load(given.dataset, robot)
     out = resolve(given.out or RESULTS / study.result_name("training_search", path))
-    # One study per question: another dataset, space or code must not be mixed in.
-    asked = {"table": plain.to_builtins(settings), "base": base, "data": dataset.sha256}
-    identity = Identity.of(asked, [__name__])
-    if (out / places.RUN_FILE).exists() or _digest_in(out) not in (None, identity.digest):
-        raise Refused(f"{manifest.make_portable(out)} holds another result; choose another --out, or remove it")
-    out.mkdir(parents=True, exist_ok=True)
+    table = {**plain.to_builtins(settings), "base": base}
+    identity = Identity.of({"table": table, "data": dataset.sha256}, [settings.base], [PYTHON])
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # with warnings it prints a traceback after Ctrl-C
-    search = optuna.create_study(
-        study_name=f"{identity.digest[:16]} {identity.code}",
-        storage=f"sqlite:///{out / 'trials.db'}",
-        direction="minimize",
-        load_if_exists=True,
-    )
+    search, trials = optuna.create_study(direction="minimize"), list[Trial]()
     wanted = given.trials or settings.trials
-
-    def objective(trial: optuna.Trial) -> float:
-        return error_of(replace_keys(path, base, suggestions(trial, settings.space)), dataset, settings)
-
-    def say(_: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
-        seconds = trial.duration.total_seconds() if trial.duration else 0.0
-        print(
-            f"trial {_count_complete(search)} of {wanted}: {trial.value:.3e} m4 (best {search.best_value:.3e}) "
-            f"in {seconds:.0f} s: {trial.params}",
-            flush=True,
-        )
-
-    with lock(out):
-        for trial in search.get_trials(states=(optuna.trial.TrialState.RUNNING,)):  # of a process that was killed
-            search.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-        while (done := _count_complete(search)) < wanted:
-            # What was interrupted is drawn again, as in a search that is not.
-            search.sampler = optuna.samplers.TPESampler(seed=settings.seed + done)
-            search.optimize(objective, n_trials=1, callbacks=[say])
-    _write(out, search, {**plain.to_builtins(settings), "base": base}, identity, dataset.sha256)
-    print(f"best of {_count_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
+    with lock_work(out):
+        record.check_replaceable(out, lambda kept: not identity.difference(kept), overwrite=given.overwrite)
+        work = Work.on(out, identity)  # it stays: a later call may ask for more trials
+        for number in range(wanted):
+            # What a trial draws follows from those before it alone, also where they are not made again.
+            search.sampler = optuna.samplers.TPESampler(seed=settings.seed + number)
+            drawn = search.ask()
+            training = replace_keys(settings.base, base, suggestions(drawn, settings.space))
+            kept = work.read_json(f"trial-{number}")
+            if kept is None:
+                started = time.perf_counter()
+                error = error_of(training, dataset, settings)
+                kept = {"error": error, "seconds": time.perf_counter() - started}
+                work.write_json(f"trial-{number}", kept)
+                print(f"trial {number + 1} of {wanted}: {error:.3e} m4 in {kept['seconds']:.0f} s: {drawn.params}")
+            search.tell(drawn, kept["error"])
+            trials.append(Trial(number, kept["error"], kept["seconds"], drawn.params))
+        _write(out, trials, table, identity, dataset.sha256)
+    print(f"best of {wanted}: {search.best_value:.3e} m4 with {search.best_params}")
 
 
-def _digest_in(folder: Path) -> str | None:
-    """Return the digest of the result in a folder: `None` where there is none, empty where it cannot be read."""
-    path = folder / places.MANIFEST_FILE
-    if not os.path.lexists(path):
-        return None
-    try:
-        return str(read_json(path, documents.Manifest).get("config_digest", ""))
-    except Refused:
-        return ""
+class Trial(NamedTuple):
+    """One trial."""
 
-
-def _count_complete(search: optuna.Study) -> int:
-    return sum(trial.state == optuna.trial.TrialState.COMPLETE for trial in search.trials)
+    number: int
+    error: float
+    """[m⁴]"""
+    seconds: float
+    params: dict[str, Any]
 
 
 def suggestions(trial: optuna.Trial, space: Mapping[str, Range]) -> dict[str, Any]:
@@ -178,10 +164,10 @@ def replace_keys(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]
 def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig) -> float:
     """Return the mean error over the inner folds [m⁴]; infinite where a network diverges."""
     rows = dataset.add_mirror_images() if training.mirrored else dataset
-    robot = config.robot(training.robot)
+    robot = training.robot_model
     errors = []
     for train, held_out in rows.grouped_folds(settings.fold_seed, settings.folds)[: settings.folds_run]:
-        start = training.start(robot, training.seed)
+        start = training.start(training.seed)
         samples = samples_of(start, robot, rows.take(train))
         unseen = samples_of(start, robot, rows.take(held_out))
         try:
@@ -192,26 +178,23 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
     return float(np.mean(errors))
 
 
-def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], identity: Identity, dataset: str) -> None:
-    keys = sorted({key for trial in search.trials for key in trial.params})
+def _write(out: Path, trials: Sequence[Trial], table: Mapping[str, Any], identity: Identity, dataset: str) -> None:
+    keys = sorted({key for trial in trials for key in trial.params})
     text = io.StringIO()
     writer = csv.writer(text)
-    writer.writerow(["trial", "state", "error_m4", "seconds", *keys])
-    for trial in search.trials:
-        seconds = trial.duration.total_seconds() if trial.duration else ""
-        writer.writerow(
-            [trial.number, trial.state.name, trial.value, seconds, *(trial.params.get(key) for key in keys)]
-        )
-    write_text(out / "trials.csv", text.getvalue())
+    writer.writerow(["trial", "error_m4", "seconds", *keys])
+    for trial in trials:
+        writer.writerow([trial.number, trial.error, trial.seconds, *(trial.params.get(key) for key in keys)])
+    best = min(trials, key=lambda trial: trial.error)
     document = manifest.build(
         out.name,
         "Search for training settings",
         table,
         identity,
-        summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _count_complete(search)},
+        summary={"best_error_m4": best.error, "best": best.params, "trials": len(trials)},
         command=["jax-aero", "train", *sys.argv[2:]],
         engine="optuna",
         dataset=dataset,
-        timings_s={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
+        timings_s={"all trials": sum(trial.seconds for trial in trials)},
     )
-    write_json(out / places.MANIFEST_FILE, document)
+    record.write_result(out, document, lambda draft: write_text(draft / "trials.csv", text.getvalue()), replace=True)

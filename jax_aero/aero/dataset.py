@@ -28,25 +28,10 @@ from jaxtyping import Bool, Float, Int
 from jax_aero.base import netcdf
 from jax_aero.base.files import write_netcdf
 from jax_aero.body.mirror import ODD_JOINTS, opposite_indices
+from jax_aero.body.robot import RobotModel
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.int64]
-
-JOINTS = (
-    *("torso_pitch", "torso_roll", "torso_yaw"),
-    *("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw", "l_elbow"),
-    *("r_shoulder_pitch", "r_shoulder_roll", "r_shoulder_yaw", "r_elbow"),
-    *("l_hip_pitch", "l_hip_roll", "l_hip_yaw", "l_knee"),
-    *("r_hip_pitch", "r_hip_roll", "r_hip_yaw", "r_knee"),
-)
-"""Joints that influence the flow: all but the ankles, in the order of every table."""
-
-LINKS = (
-    *("head", "chest", "chest_l_jet_turbine", "chest_r_jet_turbine"),
-    *("l_upper_arm", "l_arm_jet_turbine", "r_upper_arm", "r_arm_jet_turbine"),
-    *("root_link", "l_upper_leg", "l_lower_leg", "r_upper_leg", "r_lower_leg"),
-)
-"""Links of iRonCub-Mk1 and of every public table, in the order of the robot's configuration."""
 
 FORMAT = "jax-aero force areas 1"
 AREA_UNITS = "m2"
@@ -54,34 +39,42 @@ QUALITY = "quality: "
 """Prefix of the variables of `Dataset.quality` in a file."""
 
 
-JOINT_TWINS = np.array(opposite_indices(JOINTS))
-"""Index of the joint on the opposite side."""
-JOINT_SIGNS = np.where(np.isin(JOINTS, ODD_JOINTS), -1.0, 1.0)
-"""Sign of each joint angle in the mirror image."""
 MIRROR_AXES = np.array([1.0, -1.0, 1.0])
 """Signs of a vector's components when mirrored about the base's x-z plane."""
 
 
-def mirrored_joints(joint_position_deg: Float[np.ndarray, "*batch s"]) -> Float[np.ndarray, "*batch s"]:
-    """Return the joint angles of the mirror image, in the unit given."""
-    flipped: Floats = joint_position_deg[..., JOINT_TWINS] * JOINT_SIGNS
+def mirrored_joints(
+    joint_position_deg: Float[np.ndarray, "*batch s"], joints: Sequence[str]
+) -> Float[np.ndarray, "*batch s"]:
+    """Return the angles of these joints in the mirror image, in the unit given."""
+    signs = np.where(np.isin(joints, ODD_JOINTS), -1.0, 1.0)
+    flipped: Floats = joint_position_deg[..., opposite_indices(joints)] * signs
     return flipped
 
 
 def mirrored_areas(
-    force_area_b: Float[np.ndarray, "*batch L 3"], links: Sequence[str] = LINKS
+    force_area_b: Float[np.ndarray, "*batch L 3"], links: Sequence[str]
 ) -> Float[np.ndarray, "*batch L 3"]:
-    """Return the force areas of the mirror image, base axes."""
+    """Return the force areas of these links in the mirror image, base axes."""
     flipped: Floats = force_area_b[..., opposite_indices(links), :] * MIRROR_AXES
     return flipped
 
 
 def reorder_joints(
-    joint_names: Sequence[str], joint_position_deg: Float[np.ndarray, "*batch s"]
+    joint_names: Sequence[str], joints: Sequence[str], joint_position_deg: Float[np.ndarray, "*batch s"]
 ) -> Float[np.ndarray, "*batch n"]:
-    """Return the robot's joint positions [rad] from a table's joint angles [deg]; joints not in the table are zero."""
-    positions = np.zeros((*np.shape(joint_position_deg)[:-1], len(joint_names)))
-    positions[..., [joint_names.index(name) for name in JOINTS]] = np.radians(joint_position_deg)
+    """Return the robot's joint positions [rad] from a table's angles of some joints [deg]; the others are zero.
+
+    Raises
+    ------
+    ValueError
+        If the robot lacks a joint of the table.
+    """
+    names = list(joint_names)
+    if missing := [name for name in joints if name not in names]:
+        raise ValueError(f"the robot has no joint {', '.join(missing)}; expected those of the table")
+    positions = np.zeros((*np.shape(joint_position_deg)[:-1], len(names)))
+    positions[..., [names.index(name) for name in joints]] = np.radians(joint_position_deg)
     return positions
 
 
@@ -107,7 +100,7 @@ class Dataset:
     is_mirrored: Bool[np.ndarray, " B"]
     """Whether the row is the mirror image of a computed one."""
     joint_position_deg: Float[np.ndarray, "B s"]
-    """Joint angles [deg], order of `JOINTS`."""
+    """Joint angles [deg], order of `joints`."""
     wind_b: Float[np.ndarray, "B 3"]
     """Unit vector of the air's motion, base axes."""
     pitch_deg: Float[np.ndarray, " B"]
@@ -120,10 +113,12 @@ class Dataset:
     """Speed of the air [m/s]."""
     air_density: Float[np.ndarray, " B"]
     """Density of the air [kg/m³]."""
+    joints: tuple[str, ...]
+    """The joints of the robot that differ between postures."""
+    links: tuple[str, ...]
+    """The robot's aerodynamic links."""
     couple_volume_b: Float[np.ndarray, "B L 3"] | None = None
     """Moments about the links' centres `M / (½ ρ V²)` [m³], base axes; `None` if unknown."""
-    links: tuple[str, ...] = LINKS
-    """The robot's aerodynamic links."""
     quality: Mapping[str, Float[np.ndarray, " B"]] = field(default_factory=dict)
     """Quality measures that a solver reported for every row, by name with unit."""
     provenance: Mapping[str, str] = field(default_factory=dict)
@@ -133,7 +128,7 @@ class Dataset:
 
     def __post_init__(self) -> None:
         n = len(self.posture)
-        shapes = {"is_mirrored": (n,), "joint_position_deg": (n, len(JOINTS)), "wind_b": (n, 3), "pitch_deg": (n,)}
+        shapes = {"is_mirrored": (n,), "joint_position_deg": (n, len(self.joints)), "wind_b": (n, 3), "pitch_deg": (n,)}
         shapes |= {"yaw_deg": (n,), "force_area_b": (n, len(self.links), 3), "speed": (n,), "air_density": (n,)}
         if self.couple_volume_b is not None:
             shapes["couple_volume_b"] = (n, len(self.links), 3)
@@ -164,13 +159,17 @@ class Dataset:
     def family(self) -> Int[np.ndarray, " B"]:
         """Number that identifies a posture and its mirror image, independent of their names."""
         angles = np.round(self.joint_position_deg, 6)
-        images = np.round(mirrored_joints(self.joint_position_deg), 6)
+        images = np.round(mirrored_joints(self.joint_position_deg, self.joints), 6)
         swap = np.array(
             [tuple(b) < tuple(a) for a, b in zip(angles.tolist(), images.tolist(), strict=True)], dtype=bool
         )
         canonical = np.where(swap[:, None], images, angles) if len(self) else angles
         _, numbers = np.unique(canonical, axis=0, return_inverse=True)
         return np.asarray(numbers, dtype=np.int64).reshape(-1)
+
+    def joint_position(self, robot: RobotModel) -> Float[np.ndarray, "B n"]:
+        """Positions of all joints of a robot [rad]."""
+        return reorder_joints(robot.joint_names, self.joints, self.joint_position_deg)
 
     @property
     def postures(self) -> tuple[str, ...]:
@@ -212,11 +211,11 @@ class Dataset:
         def append_images(values: Floats, images: Floats) -> Floats:
             return np.concatenate([values[:n], images[n:]])
 
-        couples = both.couple_volume_b
+        angles, couples = both.joint_position_deg, both.couple_volume_b
         return replace(
             both,
             is_mirrored=is_twin,
-            joint_position_deg=append_images(both.joint_position_deg, mirrored_joints(both.joint_position_deg)),
+            joint_position_deg=append_images(angles, mirrored_joints(angles, self.joints)),
             wind_b=append_images(both.wind_b, both.wind_b * MIRROR_AXES),
             yaw_deg=append_images(both.yaw_deg, -both.yaw_deg),
             force_area_b=append_images(both.force_area_b, mirrored_areas(both.force_area_b, self.links)),
@@ -266,7 +265,7 @@ def save(dataset: Dataset, path: str | PathLike[str]) -> None:
         "posture": ("row", dataset.posture.astype(str)),
         "is_mirrored": ("row", dataset.is_mirrored.astype("i1")),
         "group": ("row", dataset.group, {"long_name": "rows of one body shape in one wind share a number"}),
-        "joint": list(JOINTS),
+        "joint": list(dataset.joints),
         "link": list(dataset.links),
         "xyz": ["x", "y", "z"],
     }
@@ -290,13 +289,13 @@ def save(dataset: Dataset, path: str | PathLike[str]) -> None:
     write_netcdf(target, table, dict.fromkeys(variables, packed))
 
 
-def load(path: str | PathLike[str], links: Sequence[str] = LINKS) -> Dataset:
-    """Read a file that `save` wrote, of a robot with these aerodynamic links.
+def load(path: str | PathLike[str], robot: RobotModel) -> Dataset:
+    """Read a file that `save` wrote, of a robot.
 
     Raises
     ------
     ValueError
-        If the file is missing, of another format or other links, or if its numbers are not those that were written.
+        If the file is missing, of another format or another robot, or if its numbers are not those that were written.
     """
     if not Path(path).is_file():
         raise ValueError(f"there is no dataset {path}; write it with: jax-aero data import-cfd")
@@ -307,9 +306,11 @@ def load(path: str | PathLike[str], links: Sequence[str] = LINKS) -> Dataset:
         raise ValueError(f"{path} is not a dataset of this project: {reason}") from reason
     if table.attrs.get("format") != FORMAT:
         raise ValueError(f"format of {path} is {table.attrs.get('format')!r}; expected {FORMAT!r}")
-    for name, expected in (("joint", JOINTS), ("link", tuple(links))):
-        if tuple(table[name].values.tolist()) != expected:
-            raise ValueError(f"{name}s of {path} are {table[name].values.tolist()}; expected {list(expected)}")
+    joints, links = (table[name].values.tolist() for name in ("joint", "link"))
+    if links != list(robot.aero_links.names):
+        raise ValueError(f"links of {path} are {links}; expected {list(robot.aero_links.names)}")
+    if not set(joints) <= set(robot.joint_names):
+        raise ValueError(f"joints of {path} are {joints}; expected some of {list(robot.joint_names)}")
 
     def facts(kind: str) -> dict[str, Any]:
         return {key.removeprefix(kind): value for key, value in table.attrs.items() if key.startswith(kind)}
@@ -326,6 +327,7 @@ def load(path: str | PathLike[str], links: Sequence[str] = LINKS) -> Dataset:
         },
         provenance={key: str(value) for key, value in facts("provenance: ").items()},
         checks={key: float(value) for key, value in facts("check: ").items()},
+        joints=tuple(joints),
         links=tuple(links),
     )
     if dataset.sha256 != table.attrs["sha256"]:
@@ -333,8 +335,8 @@ def load(path: str | PathLike[str], links: Sequence[str] = LINKS) -> Dataset:
     return dataset
 
 
-def read_postures(path: str | PathLike[str]) -> dict[str, Float[np.ndarray, " s"]]:
-    """Read joint angles [deg] by posture name, from a CSV with the columns `name` and `<joint>_deg`.
+def read_postures(path: str | PathLike[str], joints: Sequence[str]) -> dict[str, Float[np.ndarray, " s"]]:
+    """Read angles of these joints [deg] by posture name, from a CSV with the columns `name` and `<joint>_deg`.
 
     Raises
     ------
@@ -343,7 +345,7 @@ def read_postures(path: str | PathLike[str]) -> dict[str, Float[np.ndarray, " s"
     """
     with Path(path).open(newline="", encoding="utf-8-sig") as stream:
         reader = csv.DictReader(stream)
-        columns = ["name", *(f"{joint}_deg" for joint in JOINTS)]
+        columns = ["name", *(f"{joint}_deg" for joint in joints)]
         if missing := [column for column in columns if column not in (reader.fieldnames or [])]:
             raise ValueError(f"{path}: column {', '.join(missing)} is missing; expected name and one angle per joint")
         postures = {}

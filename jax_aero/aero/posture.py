@@ -1,4 +1,4 @@
-"""Frames of the links in base axes, for tables of joint angles."""
+"""Frames of the links in base axes, for tables of postures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float
 
-from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints
+from jax_aero.aero.dataset import Floats
 from jax_aero.body.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.body.robot import RobotModel
 from jax_aero.types import Array
@@ -28,21 +28,14 @@ class LinkFrames(NamedTuple):
     """Centre of mass relative to the base origin, base axes [m]."""
 
 
-def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> LinkFrames:
-    """Return the frames of the links at joint angles [deg], order of `JOINTS`; ankle angles are zero.
+def link_frames(robot: RobotModel, joint_position: Float[np.ndarray, "B n"]) -> LinkFrames:
+    """Return the frames of the links at joint positions [rad].
 
     Rows may repeat: every posture is evaluated once.
-
-    Raises
-    ------
-    ValueError
-        If the robot lacks a joint of the tables.
     """
-    if missing := [name for name in JOINTS if name not in robot.joint_names]:
-        raise ValueError(f"{robot.name} has no joint {', '.join(missing)}; expected those of iRonCub")
-    shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
+    shapes, shape_of = np.unique(joint_position, axis=0, return_inverse=True)
     with jax.enable_x64(True):
-        found = _frames(robot, reorder_joints(robot.joint_names, shapes))
+        found = _frames(robot, shapes)
     return LinkFrames(*(np.asarray(part)[shape_of.reshape(-1)] for part in found))
 
 
@@ -69,10 +62,10 @@ class Wrench(NamedTuple):
 
 
 def total_wrench(
-    robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"], force_area_b: Float[np.ndarray, "B L 3"]
+    robot: RobotModel, joint_position: Float[np.ndarray, "B n"], force_area_b: Float[np.ndarray, "B L 3"]
 ) -> Wrench:
-    """Return the totals of force areas [m²], base axes, at joint angles [deg]; rows may repeat."""
-    moments = np.cross(link_arms(robot, joint_position_deg), force_area_b).sum(axis=1)
+    """Return the totals of force areas [m²], base axes, at joint positions [rad]; rows may repeat."""
+    moments = np.cross(link_arms(robot, joint_position), force_area_b).sum(axis=1)
     return Wrench(force_area_b.sum(axis=1), moments)
 
 
@@ -103,16 +96,16 @@ def interval_by_posture(errors: Float[np.ndarray, "B k"], posture: npt.ArrayLike
     return float(low), float(high)
 
 
-def link_arms(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
-    """Return the links' aerodynamic centres relative to the centre of mass [m], base axes, at joint angles [deg]."""
-    frames = link_frames(robot, joint_position_deg)
+def link_arms(robot: RobotModel, joint_position: Float[np.ndarray, "B n"]) -> Float[np.ndarray, "B L 3"]:
+    """Return the links' aerodynamic centres relative to the centre of mass [m], base axes, at joint positions [rad]."""
+    frames = link_frames(robot, joint_position)
     arms: Floats = frames.positions - frames.com[:, None] + _in_base_axes(frames, robot.aero_links.centres)
     return arms
 
 
-def link_axes(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
-    """Return the links' unit axes of symmetry in base axes, at joint angles [deg]."""
-    return _in_base_axes(link_frames(robot, joint_position_deg), robot.aero_links.axes)
+def link_axes(robot: RobotModel, joint_position: Float[np.ndarray, "B n"]) -> Float[np.ndarray, "B L 3"]:
+    """Return the links' unit axes of symmetry in base axes, at joint positions [rad]."""
+    return _in_base_axes(link_frames(robot, joint_position), robot.aero_links.axes)
 
 
 def _in_base_axes(frames: LinkFrames, vectors: Float[Array, "L 3"]) -> Floats:

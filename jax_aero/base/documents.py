@@ -32,8 +32,7 @@ class Manifest(msgspec.Struct, kw_only=True):
     title: str = ""
     created: str = ""
     git: _Git | None = None
-    code_hash: str = ""
-    modules: list[str] = []
+    numerics: dict[str, int] = {}
     config: dict[str, Any] = {}
     config_digest: str = ""
     summary: dict[str, Any] = {}
@@ -65,7 +64,6 @@ class Kept(Manifest, kw_only=True):
     command: str
     created: str
     git: _Git | None
-    code_hash: str
     config: dict[str, Any]
     config_digest: str
     summary: dict[str, Any]
@@ -80,17 +78,6 @@ class Training(Manifest, kw_only=True):
     """`manifest.json` of a trained network."""
 
     summary: _TrainingSummary  # type: ignore[assignment]  # more than any manifest has
-
-
-class SweepUnderWay(msgspec.Struct):
-    """`sweep.json` of a sweep that may be unfinished."""
-
-    config_digest: str
-    code_hash: str
-    repeats: int
-    file: str | None = None
-    """Path of the sweep's file from the folder of the result."""
-    finished: _Files | msgspec.UnsetType = msgspec.UNSET
 
 
 class _Drawing(msgspec.Struct, kw_only=True):
@@ -130,7 +117,7 @@ class FinishedSweep(_Drawing, kw_only=True):
     """`sweep.json` of a finished sweep, for the report."""
 
     config_digest: str
-    code_hash: str
+    numerics: dict[str, int] = {}
     description: str
     design: str
     repeats: int
@@ -141,13 +128,6 @@ class FinishedSweep(_Drawing, kw_only=True):
     device: _Device
     finished: _Outcomes
     git: _Git | None
-
-
-class CasesHeader(msgspec.Struct):
-    """`design.json` of a folder of CFD cases."""
-
-    config_digest: str
-    code_hash: str
 
 
 class Ensemble(msgspec.Struct):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -19,6 +21,19 @@ def named_files(path: Path) -> Iterator[Path]:
     In a TOML or JSON file, a text that is the path of a file relative to its folder counts as a name.
     """
     return _find_named(path.resolve(), set())
+
+
+def file_hash(path: Path) -> str:
+    """Return a hash of a file and of every file that it names, wherever they are.
+
+    Of TOML and JSON it is of what they say: comments, layout and the order of keys do not count.
+    """
+    total = hashlib.sha256()
+    for file in named_files(path):
+        said = _table(file)
+        content = file.read_bytes() if said is None else json.dumps(said, sort_keys=True).encode()
+        total.update(hashlib.sha256(content).digest())
+    return total.hexdigest()
 
 
 def copy_named(path: Path, out: Path, *, replace: bool = False) -> Path:
@@ -52,7 +67,7 @@ def _find_named(path: Path, seen: set[Path]) -> Iterator[Path]:
 
 
 def _table(path: Path) -> Any:
-    """Return the content of a TOML or JSON file; empty if it is damaged, which its user will report."""
+    """Return what a TOML or JSON file says; `None` for other files, and damaged ones, which their user will report."""
     try:
         if path.suffix == ".toml":
             return tables.read(path)

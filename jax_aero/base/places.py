@@ -28,8 +28,8 @@ STUDIES = Path(__file__).parents[2] / "experiments" / "studies"
 RESULTS = Path("results") if not Path().exists() else (HOME if IS_CHECKOUT else Path.cwd()) / "results"
 
 
-RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
-"""Files of a result folder: every signal, and how it was made."""
+RUN_FILE, MANIFEST_FILE, SWEEP_FILE = "run.nc", "manifest.json", "sweep.json"
+"""Files of a result folder: every signal, and how it was made; the last is the manifest of a sweep."""
 
 
 def folder_of(kind: str) -> Path:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.aero.dataset import Dataset
+from jax_aero.aero.dataset import Dataset, reorder_joints
 from jax_aero.aero.network import Network, raw_output
 from jax_aero.body.robot import RobotModel
 from jax_aero.train.samples import Samples, chunks, make_samples
@@ -35,7 +35,7 @@ def distil_samples(
     joints, wind = made_up(rng, postures, count, spread_deg)
     joints = np.concatenate([dataset.joint_position_deg, joints])
     wind = np.concatenate([dataset.wind_b, wind])
-    x = make_samples(teachers[0], robot, joints, wind, None).x
+    x = make_samples(teachers[0], robot, reorder_joints(robot.joint_names, dataset.joints, joints), wind, None).x
     total = np.zeros((len(x), teachers[0].scale.shape[0]))
     for network in teachers:
         total += np.concatenate([np.asarray(_raw_rows(network, rows))[:count] for count, (rows,) in chunks(x)])

@@ -119,13 +119,7 @@ class _State:
 
 
 def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: str) -> TuningResult:
-    """Optimise `size` logarithms from zero, or resume from the checkpoint.
-
-    Raises
-    ------
-    ValueError
-        If the checkpoint's digest is that of another run.
-    """
+    """Optimise `size` logarithms from zero, or resume from the checkpoint of this digest."""
     theta = jnp.zeros(size)
     state, step = _State(theta, adam_start(theta), theta, jnp.asarray(steps.learning_rate)), 0
     costs: list[float] = []
@@ -140,12 +134,12 @@ def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: s
         else:
             state = _State(state.best, adam_start(state.best), state.best, 0.5 * state.rate)
         seen.append(Validation(step, cost, tried))
-        facts = {"costs": costs, "left_out": left_out, "validations": seen}
-        save_checkpoint(checkpoint, Checkpoint(digest, step, state, facts))
+        facts = {"step": step, "costs": costs, "left_out": left_out, "validations": seen}
+        save_checkpoint(checkpoint, digest, Checkpoint(state, facts))
         return state
 
-    if found := load_checkpoint(checkpoint, state, digest):
-        state, step = found.state, found.epoch
+    if found := load_checkpoint(checkpoint, digest, state):
+        state, step = found.state, found.facts["step"]
         costs, left_out = found.facts["costs"], found.facts["left_out"]
         seen = [Validation(at, cost, tuple(values)) for at, cost, values in found.facts["validations"]]
     else:

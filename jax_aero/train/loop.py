@@ -129,8 +129,7 @@ def fit(
     Raises
     ------
     ValueError
-        If a setting is invalid, naming its key; if the checkpoint belongs to another run; or if a batch is larger than
-        the data.
+        If a setting is invalid, naming its key; or if a batch is larger than the data.
     Interrupted
         On Ctrl-C, after the checkpoint is written.
     """
@@ -145,10 +144,10 @@ def fit(
         network = replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
     digest = _digest(network, training, validation, settings, seed)
     now = _Now(_State(network.layers, adam_start(network.layers), network.layers), 0, np.inf, 0, ())
-    if checkpoint is not None and (found := load_checkpoint(checkpoint, now.state, digest)):
+    if checkpoint is not None and (found := load_checkpoint(checkpoint, digest, now.state)):
         best_error, best_epoch = found.facts["best"] or (np.inf, 0)
         curves = tuple((row[0], row[1], row[2]) for row in found.facts["curves"])
-        now = _Now(found.state, found.epoch, best_error, best_epoch, curves)
+        now = _Now(found.state, found.facts["epoch"], best_error, best_epoch, curves)
     data = (jnp.asarray(training.x), jnp.asarray((training.y - network.offset) / network.scale))
     noise = _noise(network, settings)
     run = functools.partial(_epoch, settings, network.activation, batch)
@@ -206,7 +205,8 @@ def _advance(
 
 def _keep(path: Path, digest: str, now: _Now) -> None:
     best = [now.best_error, now.best_epoch] if now.best_epoch else None
-    save_checkpoint(path, Checkpoint(digest, now.epoch, now.state, {"curves": list(now.curves), "best": best}))
+    facts = {"epoch": now.epoch, "curves": list(now.curves), "best": best}
+    save_checkpoint(path, digest, Checkpoint(now.state, facts))
 
 
 def validation_error(network: Network, samples: Samples) -> float:

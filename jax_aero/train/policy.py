@@ -137,18 +137,12 @@ def train(
     checkpoint_every: int = 10,
     on_step: Callable[[int, Curve], None] = lambda *_: None,
 ) -> TrainingResult:
-    """Train a policy for each seed, or resume from the checkpoint; needs double precision if `env` has it.
-
-    Raises
-    ------
-    ValueError
-        If the checkpoint's digest is that of another run.
-    """
+    """Train a policy for each seed, or resume from the checkpoint of this digest; in double precision if `env` is."""
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds))
     state: _State = jax.jit(jax.vmap(partial(_start, env, settings)))(keys)
     step, curves = 0, []
-    if found := load_checkpoint(checkpoint, state, digest):
-        state, step = found.state, found.epoch
+    if found := load_checkpoint(checkpoint, digest, state):
+        state, step = found.state, found.facts["step"]
         curves = [Curve(*map(tuple, curve)) for curve in found.facts["curves"]]
     advance = jax.jit(
         jax.vmap(
@@ -164,7 +158,7 @@ def train(
         curves.append(Curve(tuple(reward.tolist()), tuple(left_out.tolist())))
         on_step(step, curves[-1])
         if step % checkpoint_every == 0 or step == settings.steps:
-            save_checkpoint(checkpoint, Checkpoint(digest, step, state, {"curves": curves}))
+            save_checkpoint(checkpoint, digest, Checkpoint(state, {"step": step, "curves": curves}))
     return TrainingResult(state.policy, tuple(curves))
 
 

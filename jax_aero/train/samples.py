@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero.aero.dataset import Dataset, Floats, reorder_joints
+from jax_aero.aero.dataset import Dataset, Floats
 from jax_aero.aero.network import (
     LinkGeometry,
     Network,
@@ -46,27 +46,27 @@ def samples_of(network: Network, robot: RobotModel, dataset: Dataset) -> Samples
 
     Rotating targets into link axes preserves sums of squares, so the error of a sample is that of the force areas.
     """
-    return make_samples(network, robot, dataset.joint_position_deg, dataset.wind_b, dataset.force_area_b)
+    return make_samples(network, robot, dataset.joint_position(robot), dataset.wind_b, dataset.force_area_b)
 
 
 def make_samples(
     network: Network,
     robot: RobotModel,
-    joint_position_deg: Float[np.ndarray, "B s"],
+    joint_position: Float[np.ndarray, "B n"],
     wind_b: Float[np.ndarray, "B 3"],
     force_area_b: Float[np.ndarray, "B L 3"] | None,
 ) -> Samples:
-    """Return the features of joint angles [deg] and winds, and the targets of force areas [m²] if given."""
+    """Return the features of joint positions [rad] and winds, and the targets of force areas [m²] if given."""
     areas = np.zeros((len(wind_b), robot.aero_links.count, 3)) if force_area_b is None else force_area_b
     with jax.enable_x64(True):
-        x, y = _evaluate_in_chunks(_sample_rows, network, robot, joint_position_deg, wind_b, areas)
+        x, y = _evaluate_in_chunks(_sample_rows, network, robot, joint_position, wind_b, areas)
     return Samples(x.astype(np.float32), y.astype(np.float32))
 
 
 def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Float[np.ndarray, "B L 3"]:
     """Return the network's force areas [m²] for the rows of a dataset, base axes, in its present precision."""
     with jax.enable_x64(True):
-        (areas,) = _evaluate_in_chunks(_area_rows, network, robot, dataset.joint_position_deg, dataset.wind_b)
+        (areas,) = _evaluate_in_chunks(_area_rows, network, robot, dataset.joint_position(robot), dataset.wind_b)
     return np.asarray(areas, dtype=np.float64)
 
 
@@ -95,16 +95,16 @@ def _geometries(robot: RobotModel, angles: Array) -> LinkGeometry:
 
 
 def posture_geometry(
-    robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]
+    robot: RobotModel, joint_position: Float[np.ndarray, "B n"]
 ) -> tuple[LinkGeometry, Int[np.ndarray, " B"]]:
-    """Return the geometry of the distinct postures among rows [deg], and each row's index among them."""
-    postures, number = np.unique(joint_position_deg, axis=0, return_inverse=True)
+    """Return the geometry of the distinct postures among rows [rad], and each row's index among them."""
+    postures, number = np.unique(joint_position, axis=0, return_inverse=True)
     parts = []
     with jax.enable_x64(True):
         for start in range(0, len(postures), POSTURES):
             angles = np.zeros((POSTURES, robot.n_joints))
             here = postures[start : start + POSTURES]
-            angles[: len(here)] = reorder_joints(robot.joint_names, here)
+            angles[: len(here)] = here
             parts.append(jax.tree.map(np.asarray, _geometries(robot, angles)))
     whole: LinkGeometry = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return whole, np.asarray(number, dtype=np.int64).reshape(-1)
@@ -120,11 +120,11 @@ def chunks(*arrays: Any) -> Iterator[tuple[int, list[Any]]]:
 
 
 def _evaluate_in_chunks(
-    evaluate: Any, network: Network, robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, *more: Any
+    evaluate: Any, network: Network, robot: RobotModel, joint_position: Floats, wind_b: Floats, *more: Any
 ) -> list[Any]:
-    geometry, number = posture_geometry(robot, joint_position_deg)
+    geometry, number = posture_geometry(robot, joint_position)
     parts = []
-    for count, (wind, joints, at, *rest) in chunks(wind_b, np.radians(joint_position_deg), number, *more):
+    for count, (wind, joints, at, *rest) in chunks(wind_b, joint_position[:, list(network.joints)], number, *more):
         here = jax.tree.map(lambda leaf, at=at: leaf[at], geometry)
         parts.append([np.asarray(out)[:count] for out in evaluate(network, wind, joints, here, *rest)])
     return [np.concatenate(column) for column in zip(*parts, strict=True)]

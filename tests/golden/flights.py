@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,11 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments import backends
+from experiments.identity import CRATE, VERSIONS, computed_by
 from jax_aero import rust
 from jax_aero.base import places
+from jax_aero.base.named import file_hash
 
-FOLDER = Path(__file__).parent / "flights"
-NAMES = places.names("experiments")
+FOLDER, DIGESTS = Path(__file__).parent / "flights", Path(__file__).parent / "flights.json"
+JAX = "jax_test2"
+"""A flight of JAX: the first second of TEST2."""
+NAMES = [*places.names("experiments"), JAX]
 
 NOT_STORED = {"time", "qp_kkt", "qp_iterations", "max_kkt", "max_qp_iterations", "degraded_modes", "joint_condition"}
 NOT_STORED |= {"measured_torque_latency", "measured_thrust_latency"}
@@ -31,6 +37,66 @@ constraint solver (its tolerance is 1e-8): differences of at most 1e-6 were meas
 SMALL = 1e-3
 """Least range of a signal, in its unit: what stays smaller (a rotation error of 1e-9 rad, say) is rounding of larger
 terms."""
+
+
+class Digests(NamedTuple):
+    """What tells whether numbers have changed."""
+
+    numerics: Mapping[str, int]
+    """Versions of the numbers of all flights (`experiments.identity`)."""
+    flights: dict[str, list[str]]
+    """Digests of configuration and numbers, by flight."""
+
+
+def load_digests() -> Digests:
+    """Return the stored digests."""
+    return Digests(**json.loads(DIGESTS.read_text(encoding="utf-8")))
+
+
+def config_of(name: str) -> rust.Config:
+    """Return the configuration of a flight."""
+    if name == JAX:
+        return rust.load_config("test2", {"engine": "jax", "simulator.duration": 1.0})
+    return rust.load_config(name)
+
+
+def digest(name: str, config: rust.Config, flight: rust.FlightResult) -> list[str]:
+    """Return the digests of configuration and numbers of a flight.
+
+    The configuration is the experiment's file with those that it names. Numbers of the crate are all its bits, which
+    are the same on every machine. Those of JAX and MuJoCo differ between processors: theirs are the stored rows, which
+    hold within their tolerance.
+    """
+    numbers = signals(flight)
+    if computed_by(backends.backend_of(config)) != (CRATE,):
+        with np.load(FOLDER / f"{name}.npz") as file:
+            numbers = dict(file)
+    total = hashlib.sha256()
+    for key, values in sorted(numbers.items()):
+        total.update(key.encode() + np.ascontiguousarray(values).tobytes())
+    return [file_hash(places.find("experiments", "test2" if name == JAX else name)), total.hexdigest()]
+
+
+def what_changed(name: str, config: rust.Config, flight: rust.FlightResult, known: Digests) -> str:
+    """Return whether "configuration" or else "numbers" of a flight differ from the stored ones; empty if neither."""
+    if name not in known.flights or not (FOLDER / f"{name}.npz").is_file():
+        return "configuration"
+    if digest(name, config, flight)[0] != known.flights[name][0]:
+        return "configuration"
+    return "" if has_numbers(name, config, flight, known) else "numbers"
+
+
+def has_numbers(name: str, config: rust.Config, flight: rust.FlightResult, known: Digests) -> bool:
+    """Return whether a flight has the stored numbers."""
+    if name not in known.flights or not (FOLDER / f"{name}.npz").is_file():
+        return False
+    return digest(name, config, flight)[1] == known.flights[name][1] and not differences(load_stored(name), flight)
+
+
+def is_unraised(changed: str, config: rust.Config, known: Digests) -> bool:
+    """Return whether numbers have changed under the version of the stored ones."""
+    parts = computed_by(backends.backend_of(config))
+    return changed == "numbers" and all(VERSIONS[part] == known.numerics[part] for part in parts)
 
 
 class Stored(NamedTuple):
@@ -81,3 +147,19 @@ def difference(found: NDArray[np.float64], expected: NDArray[np.float64]) -> NDA
     other = (found != expected) & ~(np.isnan(found) & np.isnan(expected))
     apart = np.subtract(found, expected, out=np.zeros(expected.shape), where=other)
     return np.abs(apart).reshape(len(expected), -1).max(axis=1, initial=0.0) / scale
+
+
+def differences(stored: Stored, flight: rust.FlightResult) -> dict[str, str]:
+    """Return the first tick in which each stored signal differs by more than its tolerance; none if it does not."""
+    found, wrong = signals(flight), {}
+    for signal, expected in stored.signals.items():
+        if signal not in found or len(found[signal]) <= stored.row[-1]:
+            wrong[signal] = "it is not there"
+            continue
+        excess = difference(found[signal][stored.row], expected) / stored.tolerance[signal]
+        if not (excess <= 1.0).all():
+            first = int((~(excess <= 1.0)).argmax())
+            wrong[signal] = (
+                f"tick {stored.row[first]}: {excess[first] * stored.tolerance[signal][first]:.1e} of its range"
+            )
+    return wrong

@@ -1,4 +1,7 @@
-"""Compute the stored flights again: `python -m tests.golden.make [NAME ...]`.
+"""Compute the stored flights again that have changed: `python -m tests.golden.make [NAME ...]`.
+
+Other numbers of the same configuration are refused under the stored version of the numbers, by which results are told
+apart: `flight_sim::NUMERICS` of the crate, `jax_aero/base/numerics.py` of what is computed in Python.
 
 A row is stored if last bits do not decide it: flights from initial states 1e-13 apart, and the same flight with other
 variants of the mathematical library, agree there to a tenth of the tolerance of the test, in parts of each signal's
@@ -20,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.identity import VERSIONS
 from jax_aero import rust
 from tests.golden import flights
 
@@ -28,17 +32,31 @@ PLAIN_PROCESSOR = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ"
 
 
 def main(names: list[str]) -> None:
-    """Fly, compare and store the flights of these names, of all if there is none."""
-    names = names or flights.NAMES
+    """Fly, compare and store what has changed of the flights of these names, of all if there is none."""
+    known = flights.load_digests() if flights.DIGESTS.is_file() else flights.Digests(VERSIONS, {})
+    changed = {}
+    for name in names or flights.NAMES:
+        config = flights.config_of(name)
+        flight = flights.fly(config)
+        if what := flights.what_changed(name, config, flight, known):
+            if flights.is_unraised(what, config, known):
+                sys.exit(f"error: {name} has other numbers under {known.numerics}: raise the version of its engine")
+            changed[name] = config, flight
+    # Of another file, which may be another title, with the same numbers.
+    stored = {name: pair for name, pair in changed.items() if not flights.has_numbers(name, *pair, known)}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flights"
-        command = [sys.executable, "-m", "tests.golden.make", "--plain", str(path), *names]
+        command = [sys.executable, "-m", "tests.golden.make", "--plain", str(path), *stored]
         subprocess.run(command, check=True, env=os.environ | {"GLIBC_TUNABLES": PLAIN_PROCESSOR})
         plain = pickle.loads(path.read_bytes())
-    for name in names:
-        config = rust.load_config(name)
-        neighbours = [plain[name], *map(flights.fly, neighbours_of(config))]
-        store(name, config, flights.fly(config), neighbours)
+    for name, (config, flight) in stored.items():
+        store(name, config, flight, [plain[name], *map(flights.fly, neighbours_of(config))])
+    for name, (config, flight) in changed.items():
+        known.flights[name] = flights.digest(name, config, flight)
+    of_all = ((name, known.flights[name]) for name in flights.NAMES if name in known.flights)
+    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(digests)}" for name, digests in of_all)
+    text = f'{{"numerics": {json.dumps(VERSIONS)}, "flights": {{\n{lines}\n}}}}\n'
+    flights.DIGESTS.write_text(text, encoding="utf-8")
 
 
 def neighbours_of(config: rust.Config) -> Iterator[rust.Config]:
@@ -100,7 +118,7 @@ def store(name: str, config: rust.Config, flight: rust.FlightResult, neighbours:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--plain"]:
-        found = {name: flights.fly(rust.load_config(name)) for name in sys.argv[3:]}
+        found = {name: flights.fly(flights.config_of(name)) for name in sys.argv[3:]}
         Path(sys.argv[2]).write_bytes(pickle.dumps(found))
     else:
         main(sys.argv[1:])

@@ -50,10 +50,10 @@ def test_what_is_not_wanted_is_left_out(ran, monkeypatch):
     assert "jax-aero study along" in ran[0]
 
 
-def test_what_is_of_other_code_is_made_again(made_up_results, monkeypatch, tmp_path):
+def test_what_is_of_other_numerics_is_made_again(made_up_results, monkeypatch, tmp_path):
     shutil.copytree(made_up_results, tmp_path / "flight")
     path = tmp_path / "flight" / "test2" / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"code_hash": "0"}))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"numerics": {"crate": 0}}))
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     assert reproduce.renewal("jax-aero fly test2") == " --overwrite"
     assert [reproduce.renewal(f"jax-aero {line}") for line in ("fly test1", "fly no_wind", "study trim hover")] == [

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from experiments.identity import Identity
-from experiments.progress import Progress
 from experiments.studies.design import campaign, robots, sensitivity, study
 from experiments.studies.design.campaign import Job
+from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.keys import get
@@ -67,9 +67,9 @@ def test_a_design_without_trim_is_not_flown():
 
 
 def test_blocks_are_not_flown_twice(tmp_path, monkeypatch):
-    progress = Progress(tmp_path / "blocks", Identity.of({}, [campaign.__name__]))
-    progress.add("0", [1])
-    assert campaign.fly({0: None}, progress, 1, None) == {0: [1]}
+    work = Work.on(tmp_path / "designs", Identity.of({}))
+    work.write_json("0", [1])
+    assert campaign.fly({0: None}, work, 1, None) == {0: [1]}
 
 
 def test_scores_are_relative_to_the_first_and_infinite_for_the_lost():

@@ -8,10 +8,10 @@ import xarray as xr
 
 from experiments import record
 from experiments.data.import_cfd import known_postures
+from experiments.data.ironcub import joint_position
 from experiments.studies.pictures import figure as pictures_figure
 from experiments.studies.pictures import study as pictures
 from jax_aero import rust
-from jax_aero.aero.dataset import reorder_joints
 from jax_aero.base import tables
 from jax_aero.base.places import ROBOT
 from paper_figs.figures import FIGURES
@@ -19,7 +19,7 @@ from paper_figs.figures import FIGURES
 
 def test_capsules_are_where_the_robots_file_has_them(agree):
     robot = rust.Robot(str(ROBOT))
-    joints = reorder_joints(robot.joint_names, known_postures()["Config1"])
+    joints = joint_position(robot, known_postures()["Config1"])
     starts, ends, diameters = pictures.capsules(joints)
     links = tables.read(ROBOT)["aero_links"]
     agree("lengths", np.linalg.norm(ends - starts, axis=1)[1:], [link["length"] for link in links[1:]], 1e-12)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from experiments.identity import Identity
 from experiments.studies.published_mpc import flight, model, plan, study
+from experiments.work import Work
 from jax_aero import own, rust
 from jax_aero.base import places
 
@@ -377,18 +379,15 @@ def test_the_table_is_made_of_what_was_flown_and_goes_on(monkeypatch, tmp_path):
 
     monkeypatch.setattr(study, "fly_cell", fly_cell)
     asked = study.Compared(controllers=("published", "published, any torque"), cases=("still air", "5 m/s"))
-    path = tmp_path / "progress.json"
-    found = study.compute("mk3", asked, path)
+    work = Work.on(tmp_path / "mk3", Identity("0"))
+    found = study.compute("mk3", asked, work)
     assert flown == [("published", 0.0), ("published", 5.0)]
     assert "published | 5 m/s | 1 of 2 | 9 to 91 % | 2.0° (2.0) | 50.0 cm (50.0)" in found.report
     assert found.dataset["com_error"].shape == (2, 2)
-    study.compute("mk3", asked, path)
+    study.compute("mk3", asked, work)
     assert len(flown) == 2
-    study.compute("mk3", study.Compared(controllers=("published",), cases=("5 m/s",)), path)
-    assert len(flown) == 3
-    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "other")
-    study.compute("mk3", asked, path)
-    assert len(flown) == 5, "flights of other code are not taken"
+    study.compute("mk3", study.Compared(controllers=("published",), cases=("5 m/s",)), work)
+    assert len(flown) == 2
 
 
 def test_flights_differ_in_direction_and_perturbation():

@@ -12,6 +12,7 @@ from experiments import record
 from experiments.data import fit
 from experiments.data.import_cfd import known_postures
 from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
+from experiments.data.ironcub import joint_position
 from experiments.studies.tunnel_mk3 import study as tunnel_mk3
 from jax_aero.aero.dataset import wind_direction
 from jax_aero.aero.posture import axes_of, link_axes, total_wrench
@@ -38,8 +39,11 @@ def points(robot):
     posture, kind, pitch, yaw = map(np.array, zip(*(2 * [*hovering, *flight]), strict=True))
     axes, joints = axes_of(robot), np.array([known[name] for name in posture])
     wind = wind_direction(pitch, yaw) @ axes.T
-    areas = fit.predicted_areas(np.asarray(robot.aero_links.coefficients["estimated"]), link_axes(robot, joints), wind)
-    force, moment = total_wrench(robot, joints, areas)
+    positions = joint_position(robot, joints)
+    areas = fit.predicted_areas(
+        np.asarray(robot.aero_links.coefficients["estimated"]), link_axes(robot, positions), wind
+    )
+    force, moment = total_wrench(robot, positions, areas)
     support = np.where(np.abs(yaw) > 45.0, SUPPORT, 0.0)[:, None] * wind
     marks = np.where(np.abs(yaw) > 20.5, "support", "")
     marks[0] = "moment drifted, support"

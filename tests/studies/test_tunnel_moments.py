@@ -9,6 +9,7 @@ from experiments import Refused
 from experiments.cfd import models
 from experiments.data import import_tunnel, tunnel
 from experiments.data.fit import predicted_areas
+from experiments.data.ironcub import LINKS, joint_position
 from experiments.studies.tunnel_moments import correction as tunnel_correction
 from experiments.studies.tunnel_moments import figure
 from experiments.studies.tunnel_moments import study as tunnel_moments
@@ -62,7 +63,7 @@ def test_corrected_arms_are_the_links_centres_and_published_ones_are_not_turned(
     data = points["below"]
     areas = np.random.default_rng(1).normal(size=(3, 13, 3))
     right, published = tunnel_moments.moments(robot, data, areas)
-    joints = data["joint_position"].values
+    joints = joint_position(robot, data["joint_position"].values)
     np.testing.assert_allclose(right, total_wrench(robot, joints, areas).moment_volume, atol=1e-14)
     # The arms differ by the offset: turned with the link, or left in inertial axes.
     offsets = np.asarray(robot.aero_links.centres)
@@ -79,26 +80,28 @@ def test_models_are_evaluated_in_the_wind_of_the_tunnel(robot, points):
     joints, wind = data["joint_position"].values, dataset.wind_direction(data["pitch"].values, data["yaw"].values)
     settings = tables.read(models.AERO / "axisymmetric_corrected.toml")
     found = models.evaluate_areas(robot, settings, joints, 12.0 * wind)
-    expected = predicted_areas(np.asarray(robot.aero_links.coefficients["corrected"]), link_axes(robot, joints), wind)
+    expected = predicted_areas(
+        np.asarray(robot.aero_links.coefficients["corrected"]), link_axes(robot, joint_position(robot, joints)), wind
+    )
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
 def test_a_correction_adds_what_changed_links_add(robot, points, measured):
     data = points["below"]
     joints, wind = data["joint_position"].values, dataset.wind_direction(data["pitch"].values, data["yaw"].values)
-    areas = np.random.default_rng(1).normal(size=(3, 13, 3))
+    positions, areas = joint_position(robot, joints), np.random.default_rng(1).normal(size=(3, 13, 3))
     steps = tunnel_correction.columns(robot, joints, wind, areas).reshape(3, 6, -1, 3)
-    place = [dataset.LINKS.index(name) for name in tunnel_correction.FAMILIES["lower legs"]]
+    place = [LINKS.index(name) for name in tunnel_correction.FAMILIES["lower legs"]]
     family = list(tunnel_correction.FAMILIES).index("lower legs")
     drag = np.einsum("nlx,nx,ny->nly", areas, wind, wind)
     changed = np.array([areas, areas, areas])
     changed[0][:, place] += 0.2 * drag[:, place]
     changed[1][:, place] += 0.2 * (areas - drag)[:, place]
     for kind in range(2):
-        whole = [np.concatenate(total_wrench(robot, joints, one), axis=1) for one in (changed[kind], areas)]
+        whole = [np.concatenate(total_wrench(robot, positions, one), axis=1) for one in (changed[kind], areas)]
         # Sums of 13 links of order 1: rounding of 1e-15 each.
         measured("factor", np.max(np.abs(whole[0] - whole[1] - steps[:, :, family, kind])), 5e-14)
-    moved = 0.05 * np.cross(link_axes(robot, joints)[:, place], areas[:, place]).sum(axis=1)
+    moved = 0.05 * np.cross(link_axes(robot, positions)[:, place], areas[:, place]).sum(axis=1)
     measured("offset", np.max(np.abs(steps[:, :, family, 2] - np.concatenate([0.0 * moved, moved], axis=1))), 5e-14)
 
 
@@ -166,7 +169,7 @@ def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkey
 
     monkeypatch.setattr(tunnel_moments, "held_out_errors", lambda points, _: 0.5 * points.missing)
     fixed = tunnel_moments.corrections(robot, data, areas)
-    wrench = total_wrench(robot, data["joint_position"].values, areas[name])
+    wrench = total_wrench(robot, joint_position(robot, data["joint_position"].values), areas[name])
     force = np.sqrt(np.mean(np.sum((data["force_area"].values - wrench.force_area) ** 2, axis=1)))
     agree("force", fixed[f"all, centre below, {name}, as it is: force, rms [N]"], 61.25 * force, 1e-12)
     moment = tunnel_moments.moment_about_com(data, "below") - wrench.moment_volume

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jax_aero.aero.dataset import JOINTS, LINKS, Dataset, wind_direction
+from experiments.data.ironcub import JOINTS, LINKS
+from jax_aero.aero.dataset import Dataset, wind_direction
 from jax_aero.body.robot import RobotModel, load_robot
 from tests import cfd_table
 

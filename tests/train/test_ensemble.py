@@ -5,10 +5,13 @@ import json
 import numpy as np
 import xarray as xr
 
-from experiments.training import config, ensemble
+from experiments.training import ensemble
 from jax_aero.aero.dataset import save
 from jax_aero.aero.network_card import load_network
+from jax_aero.base import places
 from jax_aero.cli import main
+
+BASE = places.CONFIGS / "training" / "compact.toml"
 
 
 def test_intervals_are_conformal_across_families(agree):
@@ -58,7 +61,7 @@ def test_factors_on_links_add_what_the_spread_of_the_networks_lacks(measured):
 
 
 def test_members_of_an_ensemble_differ_and_miss_one_posture(made_up_dataset):
-    trainings = [ensemble.member_training(changes, 3) for changes in ensemble.MEMBERS]
+    trainings = [ensemble.member_training(BASE, changes, 3) for changes in ensemble.MEMBERS]
     assert len({repr(one.network) for one in trainings}) == len(trainings) == 8
     family = made_up_dataset.family
     kept = ensemble.leave_one_out(made_up_dataset, np.arange(len(family)), 0)
@@ -66,24 +69,26 @@ def test_members_of_an_ensemble_differ_and_miss_one_posture(made_up_dataset):
     assert len(kept) == np.sum(np.isin(family, family[kept]))
 
 
-def test_the_shipped_ensemble_has_the_listed_networks():
-    folder = config.ROBOT.parents[1] / "aero" / "networks" / "ensemble"
+def test_the_shipped_ensemble_has_the_listed_networks(ironcub):
+    folder = places.CONFIGS / "aero" / "networks" / "ensemble"
     for number, changes in enumerate(ensemble.MEMBERS):
-        shipped = load_network(folder / f"member_{number}.json", config.robot())
-        listed = ensemble.member_training(changes, 1).network
+        shipped = load_network(folder / f"member_{number}.json", ironcub)
+        listed = ensemble.member_training(BASE, changes, 1).network
         assert shipped.blocks == tuple(listed.features)
         assert shipped.hidden == tuple(listed.hidden)
         assert shipped.activation == listed.activation
 
 
-def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_path, monkeypatch, capsys, agree):
+def test_networks_predict_postures_that_they_have_not_seen(
+    made_up_dataset, ironcub, tmp_path, monkeypatch, capsys, agree
+):
     """The second call goes on with what the first has computed, and writes networks that lack one posture each."""
     path, seen = tmp_path / "made_up.nc", []
     save(made_up_dataset, path)
 
     def skip_training(number, training, rows):
         seen.append(set(rows.postures))
-        return training.start(config.robot(), ensemble.SEED + number)
+        return training.start(ensemble.SEED + number)
 
     monkeypatch.setattr(ensemble, "train_member", skip_training)
     monkeypatch.setattr(ensemble, "MEMBERS", ({"hidden": [4]}, {"hidden": [5], "baseline": "none"}))
@@ -113,9 +118,9 @@ def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_
     for member, rows in zip(card["members"], seen[4:], strict=True):
         (left_out,) = everything - rows
         assert f"not shown {left_out}" in (tmp_path / "written" / member).read_text()
-        load_network(tmp_path / "written" / member, config.robot())
+        load_network(tmp_path / "written" / member, ironcub)
 
-    (kept,) = tmp_path.glob(".out.*/fold-0-member-1.checkpoint")
+    (kept,) = tmp_path.glob(".out.work/*/fold-0-member-1.part")
     kept.write_bytes(kept.read_bytes()[:-9] + bytes(9))
-    assert main(words) == 2
-    assert "fold-0-member-1.checkpoint is no checkpoint, or damaged" in capsys.readouterr().err
+    assert main(words) == 0
+    assert len(seen) == 7, "what is damaged is trained again"

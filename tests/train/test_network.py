@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.data.ironcub import JOINTS, LINKS
 from jax_aero.aero import network as N  # noqa: N812 (many of its functions are tested)
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
-from jax_aero.aero.dataset import JOINTS, LINKS, mirrored_joints, tunnel_from_base
+from jax_aero.aero.dataset import mirrored_joints, tunnel_from_base
 from jax_aero.aero.network import init_network
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.kinematics import kinematics
@@ -80,7 +81,7 @@ def test_the_mirror_of_the_features_is_that_of_the_robot(ironcub):
     q, wind = sample(ironcub, 1)
     seen = np.array(N.network_joints(ironcub))
     twin = np.zeros(ironcub.n_joints)
-    twin[seen] = mirrored_joints(np.asarray(q)[seen])
+    twin[seen] = mirrored_joints(np.asarray(q)[seen], JOINTS)
     twin = jnp.asarray(twin)
     x = N.features(blocks, wind, q[seen], link_geometry(ironcub, q))
     there = N.features(blocks, wind * jnp.array([1.0, -1.0, 1.0]), twin[seen], link_geometry(ironcub, twin))

@@ -8,6 +8,7 @@ import pytest
 
 from experiments import air as command
 from experiments.data.import_cfd import known_postures
+from experiments.data.ironcub import joint_position
 from jax_aero import air, cli, rust
 from jax_aero.aero import aero_model
 from jax_aero.aero.posture import total_wrench
@@ -64,7 +65,9 @@ def test_the_loads_are_those_of_the_crate_turned_into_the_tunnel(x64):
     total = found.forces[1].sum(axis=0)
     drag, side = turned @ wind / 10.0, turned @ np.array([np.sin(yaw), np.cos(yaw), 0.0])
     measured("forces with yaw [N]", np.abs(total - [drag, side, turned[2]]).max(), 1e-10)
-    moment = total_wrench(robot, known_postures()["hovering"][None], straight[None]).moment_volume[0]
+    moment = total_wrench(
+        robot, joint_position(robot, known_postures()["hovering"][None]), straight[None]
+    ).moment_volume[0]
     measured("moment about the centre of mass [N m]", np.abs(found.moments[0].sum(axis=0) - moment).max(), 1e-10)
 
 

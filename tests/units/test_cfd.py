@@ -14,7 +14,7 @@ import pytest
 import pyvista
 import xarray as xr
 
-from experiments import record, sources
+from experiments import identity, record
 from experiments.cfd import (
     case,
     command,
@@ -30,10 +30,10 @@ from experiments.cfd import (
     verify,
 )
 from experiments.data import import_cfd
+from experiments.data.ironcub import JOINTS, LINKS
 from experiments.training.result import held_out_network
 from jax_aero import rust
 from jax_aero.aero import dataset as ds
-from jax_aero.aero.dataset import LINKS
 from jax_aero.aero.posture import total_wrench
 from jax_aero.base import places, tables
 from jax_aero.base.terminal import REFUSED, Refused
@@ -184,7 +184,7 @@ def test_a_design_with_meshes_has_its_own_postures_and_another_digest(headed, tm
     """Cases of another mesh of the same name would be taken for those of this one."""
     _, path = headed('<mesh filename="package://somewhere/skull.stl" scale="1 1 1"/>')
     angles = import_cfd.known_postures()["hovering"]
-    rows = [["name", *(f"{joint}_deg" for joint in ds.JOINTS)], ["stands", *map(str, angles)]]
+    rows = [["name", *(f"{joint}_deg" for joint in JOINTS)], ["stands", *map(str, angles)]]
     (tmp_path / "own.csv").write_text("\n".join(",".join(row) for row in rows), encoding="utf-8")
     winds = design.Winds(design="grid", pitch_deg=(90.0,), yaw_deg=(0.0,))
     spec = design.Spec("x", ("stands",), winds, path, "meshes", tmp_path / "own.csv")
@@ -379,57 +379,71 @@ class Fake:
 
 
 def test_a_design_that_was_killed_goes_on_and_says_what_it_refused(small, tmp_path):
+    folder, whole = tmp_path / "result", tmp_path / "whole"
     killed, rest = Fake(lives=4), Fake()
     with pytest.raises(KeyboardInterrupt):
-        command.compute(small, tmp_path, killed)
-    command.compute(small, tmp_path, rest)
+        command.compute(small, folder, killed)
+    command.compute(small, folder, rest)
     assert (killed.solved, killed.meshed, rest.solved, rest.meshed) == (4, 2, 2, 1)
-    said = command.collect(small, tmp_path)
+    said = command.collect(small, folder)
     assert "4 accepted, 2 refused, 0 not computed, 2 postures" in said
     assert "Config5_60_20: the force drifts" in said
-    data = ds.load(tmp_path / "dataset.nc")
+    data = ds.load(folder / "dataset.nc", load_robot(ROBOT))
     assert data.quality["cells"].tolist() == [7.0] * 4
     np.testing.assert_allclose(data.force_area_b[0, 3], 0.01 * data.wind_b[0])
     both = data.add_mirror_images()
     np.testing.assert_allclose(both.couple_volume_b[4:], -both.couple_volume_b[:4] * ds.MIRROR_AXES)
-    written = json.loads((tmp_path / "manifest.json").read_text())
+    written = json.loads((folder / "manifest.json").read_text())
     assert written["summary"]["accepted"] == 4
     assert written["quality"] == {"cells": 7.0}
-    command.compute(small, tmp_path, Fake(lives=0))  # nothing is left to do
+    command.compute(small, folder, Fake(lives=0))  # nothing is left to do
+    command.compute(small, whole, Fake())
+    command.collect(small, whole)
+    for name in ("cases.json", "dataset.nc"):
+        assert (folder / name).read_bytes() == (whole / name).read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {"result", "whole"}
 
 
-@pytest.mark.parametrize("place", ["design.json", "cases/Config5_60_20.json"])
-def test_a_case_that_is_cut_short_is_named(small, tmp_path, place):
-    command.compute(small, tmp_path, Fake())
-    path = tmp_path / place
-    path.write_bytes(path.read_bytes()[:20])
-    with pytest.raises(Refused, match=f"{path.name} is damaged: "):
-        command.collect(small, tmp_path)
-
-
-def test_cases_of_other_code_are_refused(small, tmp_path, monkeypatch):
+def test_cases_are_collected_before_all_are_there_and_winds_can_be_added(small, tmp_path):
+    folder = tmp_path / "result"
     with pytest.raises(KeyboardInterrupt):
-        command.compute(small, tmp_path, Fake(lives=4))
-    own = json.loads((tmp_path / "design.json").read_text())["code_hash"]
-    assert own == sources.code_hash("experiments.cfd.simulate", "experiments.cfd.geometry")
-    command.compute(small, tmp_path, Fake())
-    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "other")
-    for work in (lambda: command.compute(small, tmp_path, Fake(lives=0)), lambda: command.collect(small, tmp_path)):
-        with pytest.raises(Refused, match="holds cases that were computed by other code; choose another --out"):
-            work()
-    shutil.rmtree(tmp_path / "cases")
-    command.compute(small, tmp_path, Fake())
-    assert json.loads((tmp_path / "design.json").read_text())["code_hash"] == "other"
+        command.compute(small, folder, Fake(lives=2))
+    assert "2 not computed" not in command.collect(small, folder)
+    assert "4 not computed" in command.collect(small, folder)
+    rest = Fake()
+    command.compute(small, folder, rest)
+    assert rest.solved == 4
+    command.collect(small, folder)
+    wider = design.Winds(design="list", pitch_deg=(90.0, 60.0, 30.0, 45.0), yaw_deg=(0.0, 20.0, 0.0, 0.0))
+    more = design.Design("small", msgspec.structs.replace(small.spec, winds_of={"hovering": wider}))
+    added = Fake()
+    command.compute(more, folder, added)
+    assert added.solved == 1
 
 
-def test_a_folder_of_other_settings_is_refused(small, tmp_path):
-    command.compute(small, tmp_path, Fake())
+def test_a_result_from_before_its_cases_were_one_file_is_read(small, tmp_path):
+    folder = tmp_path / "result"
+    command.compute(small, folder, Fake())
+    command.collect(small, folder)
+    found = command.read_cases(small, folder)
+    (folder / "cases").mkdir()
+    for name, one in json.loads((folder / "cases.json").read_text()).items():
+        (folder / "cases" / f"{name}.json").write_text(json.dumps(one))
+    (folder / "cases.json").unlink()
+    assert command.read_cases(small, folder) == found
+
+
+def test_a_folder_of_other_settings_is_refused(small, tmp_path, monkeypatch):
+    folder = tmp_path / "result"
+    command.compute(small, folder, Fake())
+    command.collect(small, folder)
     finer = settings.Settings(mesh=settings.Mesh(base=0.6))
     other = design.Design("small", msgspec.structs.replace(small.spec, settings=finer))
-    with pytest.raises(Refused, match="holds cases of other settings; choose another --out"):
-        command.compute(other, tmp_path, Fake())
-    with pytest.raises(Refused, match="holds cases of other settings; choose another --out"):
-        command.collect(other, tmp_path)
+    with pytest.raises(Refused, match="holds the result of another configuration; choose another name or --out"):
+        command.compute(other, folder, Fake())
+    monkeypatch.setitem(identity.VERSIONS, "jax_aero", 9)
+    with pytest.raises(Refused, match="holds the result of another configuration"):
+        command.compute(small, folder, Fake())
 
 
 def test_the_designs_have_one_recipe():
@@ -445,9 +459,9 @@ def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path
     assert command.folder_of(changed) == command.RESULTS / "anchors--settings.solver.ranks=2"
     assert command.folder_of(changed, tmp_path) == tmp_path / "anchors"
     small = design.Design.read("anchors", {"postures": ["hovering"]})
-    command.compute(small, tmp_path, Fake())
-    command.collect(small, tmp_path)
-    words = json.loads((tmp_path / "manifest.json").read_text())["command"]
+    command.compute(small, tmp_path / "result", Fake())
+    command.collect(small, tmp_path / "result")
+    words = json.loads((tmp_path / "result" / "manifest.json").read_text())["command"]
     assert words == "jax-aero cfd anchors --set 'postures=[\"hovering\"]'"
 
 
@@ -497,8 +511,8 @@ class Pickling:
     def __init__(self):
         self.asked = []
 
-    def spread(self, task, shared, jobs, modules, cpus):
-        self.asked.append((list(jobs), modules, cpus))
+    def spread(self, task, shared, jobs, cpus):
+        self.asked.append((list(jobs), cpus))
         for name, job in reversed(jobs.items()):
             answer = task(*pickle.loads(pickle.dumps((shared, job))))
             yield name, pickle.loads(pickle.dumps(answer))
@@ -517,15 +531,9 @@ def test_a_cluster_computes_the_same_cases_a_posture_at_a_time(small, tmp_path):
     command.compute(small, here, Fake())
     command.compute(small, there, Fake(), cluster)
     command.compute(small, there, Fake(), cluster)
-    files = sorted(path.name for path in (here / "cases").iterdir())
-    assert len(files) == 6
-    assert [(there / "cases" / name).read_bytes() for name in files] == [
-        (here / "cases" / name).read_bytes() for name in files
-    ]
-    assert cluster.asked == [
-        (["hovering", "Config5"], ("experiments.cfd.command",), 1),
-        ([], ("experiments.cfd.command",), 1),
-    ]
+    assert command.read_cases(small, there) == command.read_cases(small, here)
+    assert len(command.read_cases(small, here)) == 6
+    assert cluster.asked == [(["hovering", "Config5"], 1), ([], 1)]
 
 
 def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(collected):
@@ -544,10 +552,10 @@ def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(co
 @pytest.fixture(scope="module")
 def collected(small, tmp_path_factory):
     """Results of the small design: its accepted cases."""
-    folder = tmp_path_factory.mktemp("collected")
+    folder = tmp_path_factory.mktemp("collected") / "result"
     command.compute(small, folder, Fake())
     command.collect(small, folder)
-    return ds.load(folder / "dataset.nc")
+    return ds.load(folder / "dataset.nc", load_robot(ROBOT))
 
 
 def test_errors_are_those_of_a_model_that_is_a_tenth_off(collected, agree):
@@ -555,7 +563,7 @@ def test_errors_are_those_of_a_model_that_is_a_tenth_off(collected, agree):
     described = load_robot(ROBOT)
     sign = np.resize([1.0, -1.0], len(collected))[:, None, None]
     found = compare.errors(described, (1.0 + 0.1 * sign) * collected.force_area_b, collected)
-    wrench = total_wrench(described, collected.joint_position_deg, collected.force_area_b)
+    wrench = total_wrench(described, collected.joint_position(described), collected.force_area_b)
     rms = [np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in (wrench.force_area, wrench.moment_volume)]
     expected = [0.0, 0.1, 0.1 * rms[0], 0.01 * np.mean(collected.force_area_b**2), 0.1 * 61.25 * rms[1]]
     agree("errors", list(found.values()), expected, 1e-12)
@@ -595,7 +603,7 @@ def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_
         f"open solver, beside the table: {name}, goal of {goal:g}" for name, goal in [*goals.GOALS.items()][:3]
     ]
     half = np.sqrt(np.mean(np.sum((0.5 * hovering.force_area_b) ** 2, axis=2), axis=0))
-    names = [f"open solver, beside the table: {link}, rms [m2]" for link in ds.LINKS]
+    names = [f"open solver, beside the table: {link}, rms [m2]" for link in LINKS]
     agree("links", [found.summary[name] for name in names], half, 1e-12)
     assert found.dataset["model"].values.tolist() == [compare.OPEN, "none", "compared with"]
     assert found.dataset.sizes["row"] == len(hovering)
@@ -694,7 +702,7 @@ def test_rows_beside_a_case_have_the_areas_of_their_tables_without_the_support(m
 def test_a_shipped_dataset_has_accepted_cases_of_its_design_alone(name):
     """Cases of other settings, or ones that its tests refuse, would go unnoticed into every model."""
     made = design.Design.read(name, {})
-    data = ds.load(f"configs/aero/datasets/{name}.nc", load_robot(made.spec.robot).aero_links.names)
+    data = ds.load(f"configs/aero/datasets/{name}.nc", load_robot(made.spec.robot))
     designed = {(case.posture, case.pitch_deg, case.yaw_deg) for case in made}
     found = set(zip(data.posture.tolist(), data.pitch_deg.tolist(), data.yaw_deg.tolist(), strict=True))
     assert found <= designed

@@ -8,6 +8,7 @@ import xarray as xr
 
 from experiments.cfd import tunnel
 from experiments.data.import_cfd import known_postures
+from experiments.data.ironcub import LINKS
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.posture import total_wrench
 from jax_aero.body.robot import load_robot
@@ -38,7 +39,7 @@ def points_of(rows, **changes):
 def cases():
     """A posture that is its own mirror image, and one that is not, in head wind: 0.01 m² along it on every link."""
     postures = {name: known_postures()[name] for name in ("hovering", "Config5")}
-    load = np.broadcast_to([0.01, 0.0, 0.0], (2, len(ds.LINKS), 3))
+    load = np.broadcast_to([0.01, 0.0, 0.0], (2, len(LINKS), 3))
     return made_up_dataset(postures, np.array([90.0]), np.array([0.0]), load, couple_volume_b=load)
 
 
@@ -89,7 +90,7 @@ def test_side_and_lift_are_across_the_wind_of_the_tunnel(cases, agree):
         wind_b=axes[:1],
         pitch_deg=np.array([60.0]),
         yaw_deg=np.array([20.0]),
-        force_area_b=np.tile(ours / len(ds.LINKS), (1, len(ds.LINKS), 1)),
+        force_area_b=np.tile(ours / len(LINKS), (1, len(LINKS), 1)),
     )
     row = tunnel.Row(0, True, measured[None], np.zeros((1, 3)), np.zeros((1, 3)))
     found = tunnel.summary(tunnel.compare_cases(load_robot(ROBOT), one, [row]))
@@ -101,7 +102,7 @@ def test_side_and_lift_are_across_the_wind_of_the_tunnel(cases, agree):
 def test_a_lateral_force_that_is_lacking_has_its_place(cases, agree):
     """The tunnel has 0.05 m² more across the robot, 0.3 m behind and 0.2 m above the centre of mass."""
     robot, one = load_robot(ROBOT), cases.take(slice(1))
-    load = total_wrench(robot, one.joint_position_deg, one.force_area_b)
+    load = total_wrench(robot, one.joint_position(robot), one.force_area_b)
     volume = load.moment_volume[0] + one.couple_volume_b[0].sum(axis=0)
     more = np.array([0.0, 0.05, 0.0])
     moment = volume + np.cross([0.3, 0.0, 0.2], more)
@@ -130,7 +131,8 @@ def test_errors_beside_the_tunnel_are_of_the_mean_of_its_points(cases, tmp_path,
     agree("drag", found["robot alone: drag, relative error, rms"], 0.3, 1e-12)
     agree("force", found["robot alone: total force, rms [m2]"], np.hypot(0.03, 0.02), 1e-12)
     # The links' forces at their centres, and their couples of 0.01 m³ each.
-    load = total_wrench(load_robot(ROBOT), cases.joint_position_deg[:1], cases.force_area_b[:1])
+    robot = load_robot(ROBOT)
+    load = total_wrench(robot, cases.joint_position(robot)[:1], cases.force_area_b[:1])
     volume = load.moment_volume[0] + cases.couple_volume_b[0].sum(axis=0)
     agree("moment", found["robot alone: moment, rms [N m at 10 m/s]"], 61.25 * np.linalg.norm(volume), 1e-12)
     deviation = found["hovering 90/0: moment, standard deviation of the tunnel's [N m at 10 m/s]"]

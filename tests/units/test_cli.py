@@ -16,8 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments import backends, studies
-from experiments.sources import closure
+from experiments import studies
 from jax_aero import cli, rust
 from jax_aero.base import places
 from jax_aero.base.terminal import exit_status, progress_bar
@@ -89,11 +88,6 @@ def packages_in(extras: str) -> set[str]:
 def test_the_extras_of_a_command_bring_what_it_imports(function, extras):
     """Otherwise the hint after a missing package would not help."""
     assert packages_of(function.split(":")[0]) <= packages_in(extras)
-
-
-def test_a_flight_of_the_crate_depends_on_no_package_that_its_extra_does_not_bring():
-    """The hash of its code counts imports of functions too."""
-    assert closure("experiments.flight", backends.MODULES["rust"])[1] <= packages_in("figs")
 
 
 def test_the_package_installs_the_command():

@@ -1,21 +1,27 @@
 """Frames, mirror images, splits and the file of a dataset of force areas."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 
+from experiments.data.ironcub import JOINTS, LINKS
 from jax_aero.aero import dataset as ds
-from jax_aero.aero.dataset import JOINTS, LINKS, Dataset
+from jax_aero.aero.dataset import Dataset
+from jax_aero.base import places
+from jax_aero.body.robot import load_robot
 from tests.cfd_table import in_tunnel_axes, made_up_dataset
+
+ROBOT = load_robot(places.ROBOT)
 
 
 def made_up(postures=6, winds=20, seed=3) -> Dataset:
     """Postures in winds, with areas that mean nothing; the first posture is symmetric."""
     rng = np.random.default_rng(seed)
     shapes = rng.uniform(-40.0, 40.0, (postures, len(JOINTS)))
-    shapes[0] = 0.5 * (shapes[0] + ds.mirrored_joints(shapes[0]))
+    shapes[0] = 0.5 * (shapes[0] + ds.mirrored_joints(shapes[0], JOINTS))
     pitch, yaw = rng.uniform(0.0, 180.0, winds), rng.uniform(-180.0, 180.0, winds)
     areas = rng.normal(scale=0.01, size=(postures * winds, len(LINKS), 3))
     named = {f"posture_{index}": shape for index, shape in enumerate(shapes)}
@@ -69,14 +75,14 @@ def test_drag_is_along_the_wind(data):
 
 
 def test_the_mirror_is_its_own_inverse_and_swaps_sides(data):
-    np.testing.assert_allclose(ds.mirrored_joints(ds.mirrored_joints(data.joint_position_deg)), data.joint_position_deg)
-    np.testing.assert_allclose(ds.mirrored_areas(ds.mirrored_areas(data.force_area_b)), data.force_area_b)
+    angles, areas = data.joint_position_deg, ds.mirrored_areas(data.force_area_b, LINKS)
+    images = ds.mirrored_joints(angles, JOINTS)
+    np.testing.assert_allclose(ds.mirrored_joints(images, JOINTS), angles)
+    np.testing.assert_allclose(ds.mirrored_areas(areas, LINKS), data.force_area_b)
     left, right = LINKS.index("l_upper_arm"), LINKS.index("r_upper_arm")
-    np.testing.assert_allclose(
-        ds.mirrored_areas(data.force_area_b)[:, right], data.force_area_b[:, left] * np.array([1.0, -1.0, 1.0])
-    )
-    assert [JOINTS[index] for index in ds.JOINT_TWINS[:4]] == [*JOINTS[:3], "r_shoulder_pitch"]
-    assert [name for name, sign in zip(JOINTS, ds.JOINT_SIGNS, strict=True) if sign < 0] == ["torso_roll", "torso_yaw"]
+    np.testing.assert_allclose(areas[:, right], data.force_area_b[:, left] * np.array([1.0, -1.0, 1.0]))
+    np.testing.assert_array_equal(images[:, :3], angles[:, :3] * [1.0, -1.0, -1.0])
+    np.testing.assert_array_equal(images[:, 3:7], angles[:, 7:11])
 
 
 def test_mirrored_rows_keep_drag_and_lift_and_turn_side_around(data):
@@ -84,7 +90,7 @@ def test_mirrored_rows_keep_drag_and_lift_and_turn_side_around(data):
     first, second = both.take(slice(0, len(data))), both.take(slice(len(data), None))
     assert second.is_mirrored.all()
     np.testing.assert_allclose(second.wind_b, ds.wind_direction(second.pitch_deg, second.yaw_deg), atol=1e-12)
-    swapped = ds.mirrored_areas(in_tunnel_axes(first))
+    swapped = ds.mirrored_areas(in_tunnel_axes(first), LINKS)
     np.testing.assert_allclose(in_tunnel_axes(second), swapped, atol=1e-15)
     assert both.add_mirror_images() is both
 
@@ -97,9 +103,13 @@ def test_rows_have_the_links_of_their_robot(data, tmp_path):
     image = made.add_mirror_images().force_area_b[len(data) :]
     np.testing.assert_array_equal(image, areas[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
     ds.save(made, tmp_path / "made.nc")
-    assert ds.load(tmp_path / "made.nc", links).links == links
+    own = SimpleNamespace(joint_names=JOINTS, aero_links=SimpleNamespace(names=links))
+    assert ds.load(tmp_path / "made.nc", own).links == links
     with pytest.raises(ValueError, match=r"links of .*made.nc are \['head', 'l_foot', 'r_foot'\]; expected \['head', "):
-        ds.load(tmp_path / "made.nc")
+        ds.load(tmp_path / "made.nc", ROBOT)
+    own.joint_names = ["hinge"]
+    with pytest.raises(ValueError, match=r"joints of .*made.nc are \['torso_pitch', .*; expected some of \['hinge'\]"):
+        ds.load(tmp_path / "made.nc", own)
     with pytest.raises(ValueError, match="`force_area_b` has shape"):
         dataclasses.replace(data, links=links)
 
@@ -134,7 +144,7 @@ def test_splits_depend_on_the_seed_alone(data):
 def test_a_file_gives_back_what_was_written(data, tmp_path):
     path = tmp_path / "deep" / "data.nc"
     ds.save(data.add_mirror_images(), path)
-    again = ds.load(path)
+    again = ds.load(path, ROBOT)
     for name in ds.ARRAYS:
         np.testing.assert_array_equal(getattr(again, name), getattr(data.add_mirror_images(), name))
     assert (again.provenance, again.checks) == (data.provenance, data.checks)
@@ -144,7 +154,7 @@ def test_a_file_gives_back_what_was_written(data, tmp_path):
 
 def test_a_dataset_that_is_not_there_is_named_with_the_command_that_writes_it(tmp_path):
     with pytest.raises(ValueError, match=r"there is no dataset .*nope\.nc; write it with: jax-aero data import-cfd"):
-        ds.load(tmp_path / "nope.nc")
+        ds.load(tmp_path / "nope.nc", ROBOT)
 
 
 def test_a_file_whose_numbers_were_changed_is_refused(data, tmp_path):
@@ -153,14 +163,14 @@ def test_a_file_whose_numbers_were_changed_is_refused(data, tmp_path):
     with h5py.File(path, "r+") as file:
         file["force_area_b"][3, 2, 1] += 1e-9
     with pytest.raises(ValueError, match="its numbers give"):
-        ds.load(path)
+        ds.load(path, ROBOT)
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path):
     path = tmp_path / "data.nc"
     path.write_text("no NetCDF")
     with pytest.raises(ValueError, match="not a dataset of this project"):
-        ds.load(path)
+        ds.load(path, ROBOT)
 
 
 @pytest.mark.parametrize(

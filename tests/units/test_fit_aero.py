@@ -11,6 +11,7 @@ import xarray as xr
 from experiments.cfd import models
 from experiments.data import fit, fit_aero, import_cfd
 from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
+from experiments.data.ironcub import JOINTS, LINKS, joint_position
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.posture import link_axes, link_frames
@@ -56,7 +57,7 @@ def sampled():
 
 @pytest.fixture(scope="module")
 def axes(robot, sampled):
-    return link_axes(robot, sampled.joint_position_deg)
+    return link_axes(robot, sampled.joint_position(robot))
 
 
 @pytest.fixture(scope="module")
@@ -93,16 +94,16 @@ def test_the_prediction_is_the_model_of_the_simulator(robot, sampled, axes, x64)
 
 def test_axes_of_the_mirror_image_are_the_mirrored_axes(robot, sampled, axes):
     """Up to sign, as an axis has two ends: across the wind the model does not mind, along it links differ."""
-    images = link_axes(robot, ds.mirrored_joints(sampled.joint_position_deg[::150]))
-    swapped = ds.mirrored_areas(axes[::150])
-    lateral = ds.LINKS.index("root_link")
+    images = link_axes(robot, joint_position(robot, ds.mirrored_joints(sampled.joint_position_deg[::150], JOINTS)))
+    swapped = ds.mirrored_areas(axes[::150], LINKS)
+    lateral = LINKS.index("root_link")
     signs = np.where(np.arange(13) == lateral, -1.0, 1.0)[:, None]
     np.testing.assert_allclose(images, swapped * signs, atol=2e-7)
 
 
 def test_frames_have_their_links_where_the_robot_has_them(robot):
-    straight = link_frames(robot, np.zeros((1, 19)))
-    at = {name: straight.positions[0, index] for index, name in enumerate(ds.LINKS)}
+    straight = link_frames(robot, np.zeros((1, robot.n_joints)))
+    at = {name: straight.positions[0, index] for index, name in enumerate(LINKS)}
     assert at["head"][2] > at["chest"][2] > at["root_link"][2] > at["l_lower_leg"][2]
     assert at["r_upper_arm"][1] > 0.1 > -0.1 > at["l_upper_arm"][1]  # y is to the robot's right
     np.testing.assert_allclose(at["root_link"], 0.0, atol=1e-12)
@@ -117,7 +118,7 @@ def test_a_robot_with_other_links_and_no_published_coefficients_is_fitted(tmp_pa
     truth = np.asarray(robot.aero_links.coefficients["estimated"])
     links = {"links": robot.aero_links.names, "couple_volume_b": np.full((120, 16, 3), 1e-3)}
     made = made_up_dataset(stands, pitch, yaw, **links)
-    areas = fit.predicted_areas(truth, link_axes(robot, made.joint_position_deg), made.wind_b)
+    areas = fit.predicted_areas(truth, link_axes(robot, made.joint_position(robot)), made.wind_b)
     made = dataclasses.replace(made, force_area_b=areas)
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     ds.save(made, tmp_path / "datasets" / "made.nc")
@@ -145,7 +146,7 @@ def test_with_noise_lasso_drops_terms_that_are_not_there(robot, sampled, axes, f
     made = dataclasses.replace(sampled, force_area_b=areas + noise)
     fits = fit.fit(made, axes, families)
     assert fits["chest"].terms == ((0, 0), (0, 2))
-    true = {family: truth[ds.LINKS.index(members[0]), :5] != 0.0 for family, members in families.items()}
+    true = {family: truth[LINKS.index(members[0]), :5] != 0.0 for family, members in families.items()}
     right = [family for family, kept in fits.items() if np.array_equal(kept.cda != 0.0, true[family])]
     assert {"chest", "root", "upper_arm", "arm_jet"} <= set(right)
     np.testing.assert_allclose(fits["chest"].cda, truth[1, :5], atol=3e-4)
@@ -160,7 +161,7 @@ def test_a_fit_of_the_magnitude_forgets_the_sign(robot, sampled, axes, families,
     made = dataclasses.replace(sampled, force_area_b=areas + (sides - 1.0) * force.across)
     fits = fit.fit(made, axes, families)
     for family, kept in fits.items():
-        link = ds.LINKS.index(families[family][0])
+        link = LINKS.index(families[family][0])
         agree("C_N A of the magnitude", kept.cna_of_magnitude, truth[link, 5], 1e-6)
         assert abs(kept.cna) < 0.2 * truth[link, 5]
 
@@ -240,7 +241,7 @@ def test_a_solver_table_goes_through_import_and_fit(tmp_path, monkeypatch, robot
     """Of a table made with a known model the fit is that model, and every other set differs by its own figures."""
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     names = ["hovering", "Config2", "Config101", "Config114"]
-    axes = link_axes(robot, np.array([import_cfd.known_postures()[name] for name in names]))
+    axes = link_axes(robot, joint_position(robot, np.array([import_cfd.known_postures()[name] for name in names])))
     rng = np.random.default_rng(3)
     winds = list(zip(rng.uniform(0.0, 180.0, 60).round(1), rng.uniform(-180.0, 180.0, 60).round(1), strict=True))
     truth = np.asarray(robot.aero_links.coefficients["signed"])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.data import cfd, fit_aero, import_cfd
+from experiments.data.ironcub import JOINTS, LINKS, joint_position
 from jax_aero.aero import dataset
-from jax_aero.aero.dataset import JOINTS, LINKS
 from jax_aero.aero.posture import link_axes
 from jax_aero.body.robot import load_robot
 from tests.cfd_table import CFD_COLUMNS, in_tunnel_axes, modelled_rows, solver_table
@@ -91,7 +91,7 @@ def test_joint_angles_can_come_from_a_file(tmp_path, capsys):
     assert import_cfd.main(arguments) == 2
     assert "no joint angles are known for `mine`" in capsys.readouterr().err
     assert import_cfd.main([*arguments, "--joints", str(joints)]) == 0
-    np.testing.assert_array_equal(dataset.load(out).joint_position_deg, [np.arange(19.0)])
+    np.testing.assert_array_equal(dataset.load(out, load_robot(fit_aero.ROBOT)).joint_position_deg, [np.arange(19.0)])
     joints.write_text(joints.read_text().replace(",7,", ",seven,"))
     assert import_cfd.main([*arguments, "--joints", str(joints)]) == 2
     assert "line 2, column `r_shoulder_pitch_deg`: 'seven'; expected a finite number" in capsys.readouterr().err
@@ -122,7 +122,7 @@ def test_a_clone_is_read_through_git(tmp_path, capsys, monkeypatch):
         assert import_cfd.main(["--clone", str(clone), "--out", str(out)]) == 2
     assert "git is not installed; give the table as a file" in capsys.readouterr().err
     assert import_cfd.main(["--clone", str(clone), "--commit", "HEAD", "--out", str(out)]) == 0
-    assert dataset.load(out).sha256 == read(table()).sha256
+    assert dataset.load(out, load_robot(fit_aero.ROBOT)).sha256 == read(table()).sha256
     assert import_cfd.main(["--clone", str(clone), "--out", str(out)]) == 2
     assert "at commit 0d43057" in capsys.readouterr().err
 
@@ -131,13 +131,13 @@ def test_a_symmetric_robots_table_is_symmetric_and_written_twice_at_the_poles(tm
     """The axisymmetric model of a symmetric posture, in the frames of the tunnel: the import has to undo them."""
     robot = load_robot(fit_aero.ROBOT)
     posture = import_cfd.known_postures()["hovering"]
-    axes = link_axes(robot, posture[None])
+    axes = link_axes(robot, joint_position(robot, posture[None]))
     # Pitch 0 at yaw y and pitch 180 at yaw 180 - y are one wind; at yaw 90 deg every pitch is.
     winds = [(p, y) for p in (0, 30, 90, 150, 180) for y in (-170, -140, -90, -40, -10, 0, 10, 40, 90, 140, 170)]
     rows = modelled_rows({"hovering": axes[0]}, np.asarray(robot.aero_links.coefficients["corrected"]), winds)
     (tmp_path / "table.csv").write_text(solver_table(rows))
     assert import_cfd.main(["--table", str(tmp_path / "table.csv"), "--out", str(tmp_path / "f.nc")]) == 0
-    data = dataset.load(tmp_path / "f.nc")
+    data = dataset.load(tmp_path / "f.nc", robot)
     assert (len(data), data.postures) == (55, ("hovering",))
     # The table has 17 digits. Areas up to 0.06 m² are turned there and back; sums have 13 terms.
     measured("links minus whole robot [m2]", data.checks["links minus whole robot, largest [m2]"], 1e-15)
@@ -157,7 +157,7 @@ def test_the_typed_postures_are_those_of_the_campaign():
     assert len(import_cfd.known_postures(sections=["free_stream"])) == 15
     assert {f"Config{number}" for number in (*range(1, 17), *range(107, 117), *range(118, 126))} <= set(postures)
     for name in ("hovering", "flight30", "flight50", "flight60"):
-        np.testing.assert_array_equal(dataset.mirrored_joints(postures[name]), postures[name])
+        np.testing.assert_array_equal(dataset.mirrored_joints(postures[name], JOINTS), postures[name])
     arms = {
         "flight30": [-40.7, 11.3, 26.5, 58.3, -40.7, 11.3, 26.5, 58.3],
         "Config2": [-37.5, 17.9, 40.0, 45.2, -37.5, 17.9, 40.0, 32.0],

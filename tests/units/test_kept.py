@@ -97,7 +97,7 @@ def made_up(**more):
     table = [[*levels, *keep._shorten(list(figures.values()))] for levels, figures in rows(flown()).items()]
     parts = {
         "name": "made_up", "result": "sweeps/made_up", "title": "Made up", "command": "jax-aero sweep made_up",
-        "created": "2026-01-02T03:04:05+00:00", "commit": "0123456789abcdef", "digest": "d", "code": "c", "seed": 1,
+        "created": "2026-01-02T03:04:05+00:00", "commit": "0123456789abcdef", "digest": "d", "seed": 1,
         "each": "2 in each cell, perturbed", "axes": AXES, "panels": "controller", "shows": ["errors"],
         "outcomes": {"completed": 6, "fell": 2}, "columns": ["controller", "speed", *keep.FIGURES], "rows": table,
         "about": "A push of 50 N.",

@@ -26,12 +26,12 @@ from experiments.report.measures import files
 from experiments.report.measures import results as measures
 from experiments.report.page import inline, literal, table, to_html
 from experiments.report.results import ANOTHER, Flight, Results, Sweep
-from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
 from experiments.sweep.intervals import wilson
 from jax_aero import rust
 from jax_aero.base import places, plain, tables
+from jax_aero.base.named import file_hash
 from jax_aero.base.places import ROBOT
 from jax_aero.cli import main
 
@@ -54,7 +54,7 @@ def cell(index, flights, completed, on_course, rotation=5.0, **labels):
     }
 
 
-CODE = Identity("0", ("experiments.flight",)).facts
+CODE = Identity("0").facts
 
 
 def write_sweep(results, name, cells, axes, **document):
@@ -167,25 +167,25 @@ def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims
 
 
 @pytest.mark.parametrize("kind", ["flight/test2/manifest.json", "sweeps/paper_tests/sweep.json"])
-def test_a_result_of_other_code_is_refused(results, kind, tmp_path, capsys):
+def test_a_result_of_other_numerics_is_refused(results, kind, tmp_path, capsys):
     """The judge of the judges: nothing that it says counts, and the page and the exit status say so."""
-    change_manifest(results.folder / kind, code_hash="0" * 16, git={"commit": "a" * 40})
+    change_manifest(results.folder / kind, numerics={"crate": 0}, git={"commit": "a" * 40})
     name = "sweep paper_tests" if kind.startswith("sweeps") else "test2"
-    assert find(results)["test2"] == Finding(f"{ANOTHER}: {name} (other code (commit aaaaaaaaaa))", OUTDATED)
+    differs = f"other numerics (crate 0 instead of {rust.NUMERICS}, commit aaaaaaaaaa)"
+    assert find(results)["test2"] == Finding(f"{ANOTHER}: {name} ({differs})", OUTDATED)
     words = ["report", "--results", str(results.folder), "--claims", str(tmp_path / "claims.json")]
     assert main(words) == 1
-    assert f"refused: {name} is {ANOTHER} (other code" in capsys.readouterr().err
+    assert f"refused: {name} is {ANOTHER} (other numerics" in capsys.readouterr().err
     text = (results.folder / "report.md").read_text()
-    assert f"| {name} | other code (commit aaaaaaaaaa) |" in text
+    assert f"| {name} | {differs} |" in text
     assert main([*words, "--stale"]) == 0
-    assert f"**M{ANOTHER[1:]}: other code (commit aaaaaaaaaa).**" in (results.folder / "report.md").read_text()
+    assert f"**M{ANOTHER[1:]}: {differs}.**" in (results.folder / "report.md").read_text()
 
 
 def test_a_flight_of_another_file_that_it_names_is_outdated(results):
     change_manifest(results.folder / "flight" / "test4" / "manifest.json", config_digest="0" * 64)
     assert results.differences["test4"] == "a file that it names"
     assert outdated.flight("no_shipped_name", identity_of(rust.load_config("test1")).facts) == ""
-    assert outdated.flight("no_shipped_name", {"code_hash": "0", "modules": ["no.such"]}) == "other code"
 
 
 def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
@@ -221,7 +221,7 @@ def test_a_study_of_another_flight_or_file_is_outdated():
     sources |= {"flights": {"test2": "0"}, "files": {file: "0"}}
     flight["simulator"]["duration"] = 1.0
     assert outdated.study("made_up", "own", document) == f"test2: `simulator.duration`; {file}"
-    assert outdated.study("training", "compact", {**CODE, "code_hash": "0"}) == "other code"
+    assert outdated.study("training", "compact", {"numerics": {"gone": 1}}) == "other numerics (gone 1 instead of None)"
 
 
 def test_a_study_of_another_file_of_its_name_is_outdated():
@@ -236,7 +236,7 @@ def test_a_sweep_under_way_is_not_there_yet(tmp_path):
     folder = tmp_path / "sweeps" / "made"
     folder.mkdir(parents=True)
     pq.write_table(pa.table({"cell": [0]}), folder / "cells.parquet")
-    (folder / "sweep.json").write_text(json.dumps({"config_digest": "0", "code_hash": "0"}))
+    (folder / "sweep.json").write_text(json.dumps({"config_digest": "0"}))
     assert Results(tmp_path).sweeps == {}
 
 

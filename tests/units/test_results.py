@@ -10,14 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
-from experiments import Refused, flight, manifest, record, sources
-from experiments.backends import MODULES
+from experiments import Refused, flight, identity, manifest, record
 from experiments.identity import Identity
 from experiments.sweep import run, spec
-from experiments.sweep.chunks import Chunks
 from experiments.sweep.design import Design
 from jax_aero import cli, rust
 from jax_aero.base import files, keys, places
@@ -49,6 +46,13 @@ def flown(monkeypatch, make_flight):
 # --- digests
 
 
+CHANGES = {
+    ".toml": lambda content: content.replace(b"gravity", b"# less\ngravity").replace(b'name = "', b'name = "other '),
+    ".json": lambda content: content.replace(b"{", b'{"other": 1,', 1),
+}
+"""Changes of what a file says."""
+
+
 def test_every_file_that_a_flight_names_counts_in_its_digest(tmp_path):
     """A new kind of path in the configuration that the digest forgets fails here."""
     config = rust.load_config("test4")
@@ -68,7 +72,11 @@ def test_every_file_that_a_flight_names_counts_in_its_digest(tmp_path):
         keys.set_key(config, key, str(folder / original.name))
         assert rust.config_digest(config) == before, "where a file lies counts"
         for path in folder.iterdir():
-            path.write_bytes(path.read_bytes() + b"\n")
+            said = CHANGES.get(path.suffix, b"\n")
+            if path.suffix in CHANGES:
+                path.write_bytes(b"\n" + path.read_bytes())
+                assert rust.config_digest(config) == before, f"the layout of {path.name} counts"
+            path.write_bytes(said(path.read_bytes()) if callable(said) else path.read_bytes() + said)
             after = rust.config_digest(config)
             assert after != before, f"{path.name} does not count"
             before = after
@@ -93,62 +101,20 @@ def test_a_file_stands_for_the_files_that_it_names(tmp_path):
     hashes = []
     for text in ("one", "other"):
         (tmp_path / "robot.urdf").write_text(text)
-        hashes.append(Identity.of({}, [], [tmp_path / "robot.toml"]).digest)
-    (tmp_path / "other.toml").write_text('base = "robot.toml" # changed\n')
-    hashes.append(Identity.of({}, [], [tmp_path / "robot.toml"]).digest)
+        hashes.append(Identity.of({}, [tmp_path / "robot.toml"]).digest)
+    (tmp_path / "other.toml").write_text('base = "robot.toml"\nmass = 1\n')
+    hashes.append(Identity.of({}, [tmp_path / "robot.toml"]).digest)
     assert len(set(hashes)) == 3
 
 
-def test_code_is_followed_through_what_it_imports(tmp_path, monkeypatch):
-    modules = {
-        "__init__": "",
-        "a": "from experiments import b\nif TYPE_CHECKING:\n    import experiments.c\n",
-        "b": "def f():\n    from jax_aero import rust\n",
-        "c": "",
-    }
-    for name, text in modules.items():
-        (tmp_path / f"{name}.py").write_text(text)
-    monkeypatch.setitem(sources.FOLDERS, "experiments", tmp_path)
-
-    def find_files() -> str:
-        sources.code_hash.cache_clear()
-        return sources.code_hash("experiments.a")
-
-    before = find_files()
-    (tmp_path / "c.py").write_text("x = 1\n")
-    assert find_files() == before, "a module that is not imported counts"
-    (tmp_path / "b.py").write_text(modules["b"] + "\nx = 1\n")
-    assert find_files() != before
-    sources.code_hash.cache_clear()
-
-
-LOADED = """
-import importlib, sys
-from experiments import flight, sources
-from experiments.sweep import run
-roots = ["experiments.flight", "experiments.sweep.run"]
-for module in sys.argv[1:]:
-    importlib.import_module(module)
-    roots.append(module)
-    loaded = {name for name in sys.modules if name.split(".")[0] in sources.FOLDERS}
-    print(module, sorted(loaded - set(sources.closure(*roots)[0])))
-"""
-
-
-def test_no_module_that_an_engine_loads_is_left_out_of_its_hash():
-    command = [sys.executable, "-c", LOADED, *MODULES.values()]
-    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert answer.stdout == "".join(f"{module} []\n" for module in MODULES.values())
-
-
-def test_a_result_of_other_code_is_refused_and_flown_again_for_a_study(flown, tmp_path, capsys, monkeypatch):
+def test_a_result_of_other_numerics_is_refused_and_flown_again_for_a_study(flown, tmp_path, capsys, monkeypatch):
     assert main(["fly", "test1", "--out", str(tmp_path / "flight")]) == 0
-    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "other")
+    monkeypatch.setitem(identity.VERSIONS, "crate", 9)
     assert main(["fly", "test1", "--out", str(tmp_path / "flight")]) == 2
-    assert "was made by other code" in capsys.readouterr().err
+    assert "was made by other numerics" in capsys.readouterr().err
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     path = flight.obtain("test1")
-    assert json.loads(path.with_name("manifest.json").read_text())["code_hash"] == "other"
+    assert json.loads(path.with_name("manifest.json").read_text())["numerics"] == {"crate": 9}
     written = path.stat().st_mtime_ns
     assert flight.obtain("test1").stat().st_mtime_ns == written, "what is of today is not flown again"
 
@@ -156,52 +122,15 @@ def test_a_result_of_other_code_is_refused_and_flown_again_for_a_study(flown, tm
 # --- damage
 
 
-TABLE = pa.table({"x": [1.0, 2.0]})
-
-
-def damages(whole: bytes, other: bytes) -> dict[str, bytes]:
-    """Return what a chunk may have become; `other` is another chunk."""
-    return {
-        "empty": b"",
-        "cut short": whole[:-1],
-        "a bit turned": whole[:40] + bytes([whole[40] ^ 1]) + whole[41:],
-        "of another range": other,
-        "foreign": b"PAR1 of another program",
-    }
-
-
-@pytest.mark.parametrize("damage", damages(bytes(50), b""))
-def test_a_damaged_chunk_does_not_count(tmp_path, damage):
-    chunks = Chunks(tmp_path, "sweep code")
-    first, second, third = parts = [range(4), range(4, 8), range(8, 9)]
-    for rows in parts:
-        chunks.write(rows, TABLE)
-    assert chunks.find_whole(9) == parts
-    assert chunks.find_whole(8) == [first, second]
-    assert chunks.read(second) == TABLE
-    damaged = damages(*(chunks.path(rows).read_bytes() for rows in (second, third)))
-    chunks.path(second).write_bytes(damaged[damage])
-    assert chunks.find_whole(9) == [first, third]
-    with pytest.raises(Refused, match="the same command flies it again"):
-        chunks.read(second)
-    assert chunks.remove(but=[first, third]) == ["0000004-0000008.chunk"]
-
-
-def test_a_chunk_of_another_sweep_or_code_does_not_count(tmp_path):
-    Chunks(tmp_path, "sweep code").write(range(1), TABLE)
-    assert Chunks(tmp_path, "other code").find_whole(1) == []
-
-
 def test_a_sweep_flies_damaged_chunks_again_and_ends_with_the_same_bytes(tmp_path, capsys, stopped_sweep):
     whole = run.run(design(), workers=1, out=tmp_path / "whole")
     stopped_sweep(design(), 2, tmp_path)
-    first, second = sorted((tmp_path / "made_up" / "chunks").iterdir())
+    first, second = sorted((tmp_path / ".made_up.work").rglob("*.part"))
     first.write_bytes(second.read_bytes())
-    (first.parent / "notes.txt").write_text("mine")
     folder = run.run(design(), workers=1, out=tmp_path)
-    assert "0000000-0000001.chunk: damaged, or no chunk of this sweep; flown again" in capsys.readouterr().err
+    assert "0000000-0000001.part is damaged, and made again" in capsys.readouterr().err
     assert all((folder / name).read_bytes() == (whole / name).read_bytes() for name in run.TABLES)
-    assert (first.parent / "notes.txt").read_text() == "mine"
+    assert not (tmp_path / ".made_up.work").exists()
 
 
 def test_a_damaged_table_of_a_finished_sweep_is_refused(tmp_path):
@@ -235,7 +164,7 @@ def test_overwrite_removes_only_what_was_written(flown, tmp_path, capsys):
     )
     for folder, command in words.items():
         assert main(command) == 0
-        for name in (".notes", "mine/run.nc", "chunks/notes.txt"):
+        for name in (".notes", "mine/run.nc"):
             path = tmp_path / folder / name
             path.parent.mkdir(exist_ok=True)
             path.write_text("mine")
@@ -261,8 +190,7 @@ def test_a_result_behind_a_link_is_overwritten_each_time(flown, tmp_path):
 
 def test_a_number_that_json_lacks_is_null_however_deep_it_stands():
     summary = {"a": np.inf, "flight": {"com_error": np.nan, "outcome": "fell"}}
-    identity = Identity("0", ("experiments.flight",))
-    document = manifest.build("x", "x", {}, identity, summary=summary, command=["x"], engine="rust")
+    document = manifest.build("x", "x", {}, Identity("0"), summary=summary, command=["x"], engine="rust")
     assert document["summary"] == {"a": None, "flight": {"com_error": None, "outcome": "fell"}}
 
 
@@ -354,11 +282,9 @@ def test_what_cannot_be_written_is_one_line_and_leaves_nothing_half(flown, tmp_p
     assert re.fullmatch(r"error: \S+run\.nc: File too large\n", capsys.readouterr().err)
     assert list(tmp_path.iterdir()) == []
 
-    with longest_file(500), pytest.raises(OSError, match=r"File too large: '\S+sweep\.json'"):
+    with longest_file(500), pytest.raises(OSError, match=r"File too large: '\S+0000000-0000001\.part'"):
         run.run(design(), workers=1, out=tmp_path)
-    with longest_file(5_000), pytest.raises(OSError, match=r"File too large: '\S+0000000-0000001\.chunk'"):
-        run.run(design(), workers=1, out=tmp_path)
-    assert list((tmp_path / "made_up" / "chunks").iterdir()) == []
+    assert list((tmp_path / ".made_up.work").rglob("*.part")) == []
     run.run(design(), workers=1, out=tmp_path)
 
 

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 
 import h5py
 import numpy as np
@@ -20,7 +21,6 @@ from experiments.identity import Identity
 from experiments.report import keep
 from experiments.report.judge import Record
 from experiments.report.results import Results
-from experiments.sweep import run as sweep_run
 from jax_aero.aero import dataset
 from jax_aero.base import documents, files, netcdf, run_file, sizes, tables
 from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
@@ -108,7 +108,7 @@ def test_a_file_is_small_and_whole_or_it_is_not_read(make, tmp_path):
         run_file.read,
         runs.read,
         recording.read,
-        dataset.load,
+        partial(dataset.load, robot=None),
     ],
 )
 def test_every_reader_of_such_files_checks_them(read, tmp_path):
@@ -188,9 +188,9 @@ def test_a_damaged_manifest_is_named_by_every_reader_and_overwritten(damage, tmp
     with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
         _ = Results(tmp_path).flights
     with pytest.raises(Refused, match=rf"mine holds no finished result \({path} .*--overwrite it"):
-        record.find_existing(folder, Identity("d", ()), documents.Manifest, overwrite=False)
+        record.find_existing(folder, Identity("d"), documents.Manifest, overwrite=False)
     if damage is not a_folder:
-        assert record.find_existing(folder, Identity("d", ()), documents.Manifest, overwrite=True) is None
+        assert record.find_existing(folder, Identity("d"), documents.Manifest, overwrite=True) is None
         record.write_run(folder, flight, {"config_digest": "d"}, replace=True)
         assert record.read_manifest(folder)["config_digest"] == "d"
 
@@ -203,14 +203,14 @@ def test_a_damaged_description_of_a_sweep_is_named_by_every_reader_and_overwritt
     path = folder / "sweep.json"
     damage(path)
     with pytest.raises(Refused, match=r"sweep\.json (is damaged|cannot be read): .*--overwrite it"):
-        sweep_run._read_document(folder, Identity("d", ()))
+        record.find_existing(folder, Identity("d"), documents.FinishedSweep, overwrite=False)
     with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
         _ = Results(tmp_path).sweeps
     with pytest.raises(runs.NotDrawn, match=f"{path} (is damaged|cannot be read): "):
         sweeps.load(folder.parent, "mine")
     if damage is not a_folder:
-        sweep_run._clear(folder)
-        assert not folder.exists()
+        (folder / "cells.parquet").unlink()
+        assert record.find_existing(folder, Identity("d"), documents.FinishedSweep, overwrite=True) is None
 
 
 def test_a_table_of_a_sweep_is_bounded_and_regular(tmp_path, monkeypatch):
@@ -275,7 +275,7 @@ def test_a_description_of_a_sweep_without_a_key_is_named(key, tmp_path):
     folder.mkdir(parents=True)
     (folder / "cells.parquet").touch()
     document = {
-        **dict.fromkeys(("title", "description", "panels", "config_digest", "code_hash", "engine"), ""),
+        **dict.fromkeys(("title", "description", "panels", "config_digest", "engine"), ""),
         **dict.fromkeys(("repeats", "seed", "rows"), 1),
         "drawing": "map",
         "design": "grid",

@@ -79,7 +79,6 @@ def test_a_result_of_other_keys_or_files_is_only_replaced_when_told(tmp_path, mo
         computed.append(config.level)
         return Findings("Made up", xr.Dataset({"level": config.level}), {}, inputs={"level": 0.0})
 
-    compute.__module__ = "experiments.study"  # whose code counts
     made_up = Study("made_up", None, MadeUp, compute, ("own",))
     monkeypatch.setattr(places, "RESULTS", tmp_path / "results")
     file, data = tmp_path / "own.toml", tmp_path / "own.csv"

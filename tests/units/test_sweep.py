@@ -19,7 +19,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from experiments import Refused, backends, cluster, outdated
+from experiments import Refused, backends, cluster, identity, outdated
 from experiments.sweep import columns, command, keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.intervals import wilson
@@ -669,12 +669,13 @@ def test_tables_are_written_and_read_without_a_thread(tmp_path):
 import os, sys
 from pathlib import Path
 import pyarrow as pa
-from experiments.sweep.chunks import Chunks, parquet
-from jax_aero.base.parquet import read_table
+from experiments.sweep.run import parquet
+from jax_aero.base.parquet import read_parquet, read_table
 count = lambda: len(os.listdir("/proc/self/task"))
-chunks, before = Chunks(Path(sys.argv[1]), "identity"), count()
-chunks.write(range(2), pa.table({"a": [1.0, 2.0], "b": ["x", "y"]}))
-(Path(sys.argv[1]) / "table.parquet").write_bytes(parquet(chunks.read(range(2))))
+before = count()
+written = parquet(pa.table({"a": [1.0, 2.0], "b": ["x", "y"]}))
+read_parquet(written)
+(Path(sys.argv[1]) / "table.parquet").write_bytes(written)
 read_table(Path(sys.argv[1]) / "table.parquet").to_pandas(use_threads=False)
 print(count() - before)
 """
@@ -695,7 +696,7 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
     agree("lower end of the interval", cells[0]["completed_low"], wilson(3, 3)[0], 1e-12)
     document = json.loads((flown / "sweep.json").read_text())
     assert document["finished"]["outcomes"] == dict.fromkeys((*columns.OUTCOMES, "error"), 0) | {"completed": 12}
-    assert {"config_digest", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()
+    assert {"config_digest", "numerics", "git", "versions", "device", "perturbation"} <= document.keys()
     assert str(places.HOME) not in (flown / "sweep.json").read_text()
 
 
@@ -743,9 +744,9 @@ def test_threads_do_not_change_a_byte(flown, tmp_path):
     assert read(tmp_path / "quick") == read(flown)
 
 
-def test_a_node_of_other_code_flies_nothing():
-    common = pickle.dumps((run._fly_remotely, (design().spec, design().bases), run.modules_of(design()), "another"))
-    with pytest.raises(Refused, match=r"a node has other code .*, here another"):
+def test_a_node_of_other_numerics_flies_nothing():
+    common = pickle.dumps((run._fly_remotely, (design().spec, design().bases), {"crate": 9}))
+    with pytest.raises(Refused, match=r"a node has other numerics .*, here {'crate': 9}"):
         cluster._run_remotely(common, 0)
 
 
@@ -757,7 +758,7 @@ def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_p
     assert re.search(r"quick: \d+ flights in \d+ cells, ", printed)
     path.write_text(path.read_text().replace("seed = 5", "seed = 6"))
     assert main(["sweep", str(path), "--out", str(flown.parent)]) == 2
-    assert "holds another sweep of this name" in capsys.readouterr().err
+    assert "holds the result of another configuration" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("is_finished", [True, False])
@@ -771,7 +772,6 @@ def test_more_repeats_continue_a_sweep(is_finished, tmp_path, capsys, stopped_sw
     else:
         stopped_sweep(fewer, 2, tmp_path)
     stopped_sweep(whole, 1, tmp_path)
-    assert not (tmp_path / "quick" / "cells.parquet").exists(), "tables of fewer repeats would be taken for the result"
     capsys.readouterr()
     folder = run.run(whole, workers=1, out=tmp_path)
     assert f"{16 if is_finished else 12} of 20 flights are there already" in capsys.readouterr().err
@@ -780,7 +780,7 @@ def test_more_repeats_continue_a_sweep(is_finished, tmp_path, capsys, stopped_sw
     if is_finished:
         flights = pq.read_table(folder / "table.parquet").to_pandas()
         pd.testing.assert_frame_equal(flights[:12], table_of_fewer.to_pandas(), check_exact=True)
-    with pytest.raises(Refused, match="holds another sweep of this name"):
+    with pytest.raises(Refused, match="holds the result of another configuration"):
         run.run(fewer, workers=1, out=tmp_path)
 
 
@@ -803,15 +803,15 @@ def test_a_finished_sweep_takes_over_how_it_is_drawn(tmp_path):
     assert json.loads((folder / "sweep.json").read_text()) == before | drawn
 
 
-def test_chunks_of_other_code_are_not_mixed_in(tmp_path, monkeypatch, stopped_sweep):
-    made = Design(spec.load(str(quick_sweep(tmp_path))))
+def test_chunks_of_other_numerics_are_not_mixed_in(tmp_path, monkeypatch, stopped_sweep):
+    made, fly_chunk, flown = Design(spec.load(str(quick_sweep(tmp_path)))), run.fly_chunk, []
     stopped_sweep(made, 1, tmp_path)
-    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "another")
-    with pytest.raises(Refused, match="begun by other code"):
-        run.run(made, workers=1, out=tmp_path)
-    run.run(made, workers=1, out=tmp_path, overwrite=True)
-    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "a third")
-    with pytest.raises(Refused, match="flown by other code"):
+    monkeypatch.setattr(run, "fly_chunk", lambda of, chunk, *rest: flown.append(chunk) or fly_chunk(of, chunk, *rest))
+    monkeypatch.setitem(identity.VERSIONS, "crate", 8)
+    run.run(made, workers=1, out=tmp_path)
+    assert sum(map(len, flown)) == made.n_rows
+    monkeypatch.setitem(identity.VERSIONS, "crate", 9)
+    with pytest.raises(Refused, match=r"was made by other numerics \(crate 8 instead of 9"):
         run.run(made, workers=1, out=tmp_path)
 
 
@@ -849,7 +849,6 @@ def test_a_sweep_that_cannot_fly_overwrites_nothing(tmp_path, monkeypatch, chang
     folder = run.run(design(**short), workers=1, out=tmp_path)
     before = read(folder)
     monkeypatch.setitem(backends.MODULES, "jax", "nowhere.jax")
-    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "")
     with pytest.raises(Refused, match=re.escape(words)):
         run.run(design(**short | change), workers=1, out=tmp_path, overwrite=True)
     assert read(folder) == before

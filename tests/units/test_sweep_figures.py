@@ -54,7 +54,7 @@ def write(folder, name, drawing, axes, panels="world"):
         "axes": [AXES[axis] for axis in axes],
         "repeats": 8,
         "perturbation": {"joint_position": 0.1},
-        **Identity("ab" * 32, ("experiments.sweep.run",)).facts,
+        **Identity("ab" * 32).facts,
     }
     path = folder / name
     path.mkdir(parents=True)
@@ -68,12 +68,12 @@ def draw(folder, *words, name="made_up"):
     return main([name, "--sweeps", str(folder / "sweeps"), "--out", str(folder), *words])
 
 
-def test_a_sweep_of_other_code_is_refused_or_drawn_and_marked(tmp_path, capsys):
+def test_a_sweep_of_other_numerics_is_refused_or_drawn_and_marked(tmp_path, capsys):
     write(tmp_path / "sweeps", "made_up", "levels", ["terms"], "")
     path = tmp_path / "sweeps" / "made_up" / "sweep.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"code_hash": "0"}))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"numerics": {"crate": 0}}))
     assert draw(tmp_path) == 1
-    assert "made of another configuration or code than today's: made_up (other code)" in capsys.readouterr().err
+    assert "made of another configuration or numerics than today's: made_up (other numerics" in capsys.readouterr().err
     assert draw(tmp_path, "--stale") == 0
     marked = (tmp_path / "made_up.png").read_bytes()
     write(tmp_path / "today" / "sweeps", "made_up", "levels", ["terms"], "")

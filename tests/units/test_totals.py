@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from jax_aero.aero.dataset import JOINTS
 from jax_aero.aero.posture import link_arms, link_frames, total_wrench
 from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import load_robot
@@ -11,7 +10,7 @@ from jax_aero.body.robot import load_robot
 def test_a_moment_is_that_of_forces_at_the_links_centres_about_the_centre_of_mass():
     robot = load_robot(ROBOT)
     rng = np.random.default_rng(1)
-    joints, areas = rng.uniform(-20.0, 20.0, (2, len(JOINTS))), rng.normal(size=(2, 13, 3))
+    joints, areas = rng.uniform(-0.3, 0.3, (2, robot.n_joints)), rng.normal(size=(2, 13, 3))
     found, frames, links = total_wrench(robot, joints, areas), link_frames(robot, joints), robot.aero_links
     for row in range(2):
         moment = np.zeros(3)

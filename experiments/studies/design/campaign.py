@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.cluster import Ray
-from experiments.progress import Progress
 from experiments.studies.design import robots
 from experiments.sweep.keys import set_all
 from experiments.sweep.perturbation import Perturbation
+from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import places, tables
 from jax_aero.base.result import LOST
@@ -110,17 +110,19 @@ def judge(config: rust.Config, flown: rust.FlightResult) -> list[float]:
     return [lost, *np.sqrt([tracking, *squares]), thrust, lean, sink]
 
 
-def fly(jobs: Mapping[int, Job], progress: Progress, processes: int, cluster: str | None) -> dict[int, list[Row]]:
+def fly(jobs: Mapping[int, Job], work: Work, processes: int, cluster: str | None) -> dict[int, list[Row]]:
     """Return the rows of blocks; finished ones are not flown."""
-    left = {number: job for number, job in jobs.items() if str(number) not in progress.done}
+    done: dict[int, list[Row]] = {number: rows for number in jobs if (rows := work.read_json(str(number))) is not None}
+    left = {number: job for number, job in jobs.items() if number not in done}
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         answers: Iterator[tuple[int, list[Row]]] = pool.imap_unordered(_numbered, left.items())
         if cluster:
-            answers = Ray(workers=processes).spread(fly_block, None, left, (__name__,))
+            answers = Ray(workers=processes).spread(fly_block, None, left)
         for number, rows in answers:
-            progress.add(str(number), rows)
-            print(f"\r{len(progress.done)} of {len(jobs)} blocks", end="", file=sys.stderr, flush=True)
-    return {number: progress.done[str(number)] for number in jobs}
+            work.write_json(str(number), rows)
+            done[number] = rows
+            print(f"\r{len(done)} of {len(jobs)} blocks", end="", file=sys.stderr, flush=True)
+    return {number: done[number] for number in jobs}
 
 
 def _numbered(item: tuple[int, Job]) -> tuple[int, list[Row]]:

@@ -18,12 +18,12 @@ from scipy.stats import spearmanr
 
 from experiments import Refused
 from experiments.identity import Identity
-from experiments.progress import Progress
 from experiments.studies.design import campaign, robots, sensitivity
 from experiments.studies.design.campaign import AGAIN, FIGURES, FLIGHTS, Job, Row
 from experiments.studies.design.robots import RANGES, Array
 from experiments.study import Findings, Study
 from experiments.sweep.intervals import wilson
+from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import places, plain, run_file, tables
 
@@ -53,14 +53,14 @@ class DesignConfig(tables.Table, frozen=True):
     cluster: Literal["ray"] | None = None
 
 
-def compute(part: str, asked: DesignConfig, path: Path) -> Findings:
+def compute(part: str, asked: DesignConfig, work: Work) -> Findings:
     """Compute a part."""
     if part not in PARTS:
         raise Refused(f"there is no part `{part}`{places.did_you_mean(part, PARTS)}")
-    return PARTS[part](asked, path)
+    return PARTS[part](asked, work)
 
 
-def sensitivities(asked: DesignConfig, _: Path) -> Findings:
+def sensitivities(asked: DesignConfig, _: Work) -> Findings:
     """Differentiate a hover of each robot."""
     shapes, summary = list[Row](), dict[str, Any]()
     flights = {
@@ -87,21 +87,20 @@ def sensitivities(asked: DesignConfig, _: Path) -> Findings:
     return Findings("Sensitivities of a hover in wind", data, summary, flights=flights)
 
 
-def fly(asked: DesignConfig, path: Path, jobs: dict[int, Job]) -> list[Row]:
-    """Return the rows of jobs, but for those flown already by the same code."""
+def fly(asked: DesignConfig, work: Work, jobs: dict[int, Job]) -> list[Row]:
+    """Return the rows of jobs; those flown already are not flown again."""
     flown = plain.to_builtins([{**job._asdict(), "designs": job.designs.tolist()} for job in jobs.values()])
     base = rust.config_digest(rust.load_config(campaign.BASE))
     asks, files = {"flown": flown, "base": base}, [robots.MK3, campaign.PERTURBATION]
-    progress = Progress(path, Identity.of(asks, [campaign.__name__], files))
-    done = campaign.fly(jobs, progress, asked.processes, asked.cluster)
+    done = campaign.fly(jobs, work.narrowed(Identity.of(asks, files)), asked.processes, asked.cluster)
     return [row for block in done.values() for row in block]
 
 
-def designs(asked: DesignConfig, path: Path) -> Findings:
+def designs(asked: DesignConfig, work: Work) -> Findings:
     """Fly every design."""
     drawn, size = robots.draw(asked.count, asked.seed), asked.block
     blocks = range(0, asked.count, size)
-    rows = fly(asked, path, {at: Job(drawn[at : at + size], (0,), FLIGHTS, asked.seed) for at in blocks})
+    rows = fly(asked, work, {at: Job(drawn[at : at + size], (0,), FLIGHTS, asked.seed) for at in blocks})
     data, missed = to_dataset(drawn, rows, list(FLIGHTS)), [row["missed"] for row in rows]
     lost = data["figures"].sel(figure="lost").isel(draw=0).values
     summary: dict[str, Any] = {"designs": len(rows), "without trim": sum(map(bool, missed))}
@@ -172,7 +171,7 @@ def decisive(drawn: Array, score: Array) -> list[int]:
     return [int(number) for number in np.argsort(-effect)[:3]]
 
 
-def confirmed(asked: DesignConfig, path: Path) -> Findings:
+def confirmed(asked: DesignConfig, work: Work) -> Findings:
     """Fly the best designs of each objective with other draws, and the best of these in more and harder flights."""
     source = places.RESULTS / "design" / "designs" / places.RUN_FILE
     if not source.is_file():
@@ -187,7 +186,7 @@ def confirmed(asked: DesignConfig, path: Path) -> Findings:
     few = np.vstack([drawn[:1], drawn[best["still"]], drawn[best["wind"]], grid])
     group = np.repeat(["Mk3", "still", "wind", "three"], [1, FEW, FEW, len(grid)])
     draws = tuple(range(1, 1 + asked.draws))
-    rows = fly(asked, path, {at: Job(few[at : at + 1], draws, FLIGHTS, asked.seed) for at in range(len(few))})
+    rows = fly(asked, work, {at: Job(few[at : at + 1], draws, FLIGHTS, asked.seed) for at in range(len(few))})
     second = to_dataset(few, rows, list(FLIGHTS))
     again, lost = scores(second), second["figures"].sel(figure="lost").values != 0.0
     chosen = {"Mk3": 0}
@@ -198,7 +197,7 @@ def confirmed(asked: DesignConfig, path: Path) -> Findings:
     flights = AGAIN | {f"{name}, cylinders": changes | cylinders for name, changes in AGAIN.items()}
     picked, repeats = few[list(chosen.values())], range(1000, 1000 + asked.repeats)
     jobs = [Job(robot[None], (draw,), flights, asked.seed) for robot in picked for draw in repeats]
-    last = np.array([row["figures"] for row in fly(asked, path, dict(enumerate(jobs)))], dtype=np.float64)
+    last = np.array([row["figures"] for row in fly(asked, work, dict(enumerate(jobs)))], dtype=np.float64)
     figures = last.reshape(len(chosen), asked.repeats, len(flights), len(FIGURES))
     costs = first["figures"].isel(draw=0).sel(figure=["tracking", "thrust", "sink"]).values
     fell = (first["figures"].isel(draw=0).sel(figure="lost") != 0.0).values
@@ -286,7 +285,6 @@ STUDY = Study(
     compute,
     tuple(PARTS),
     engine="jax",
-    interrupted="the same command goes on with the next block",
-    progress=".blocks",
+    resumes=True,
 )
 main = STUDY.main

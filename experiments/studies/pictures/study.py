@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from experiments import flight
 from experiments.data.import_cfd import POSTURES, known_postures
+from experiments.data.ironcub import joint_position
 from experiments.study import Findings, Study
 from jax_aero import rust
-from jax_aero.aero.dataset import reorder_joints
 from jax_aero.base import tables
 from jax_aero.base.places import ROBOT
 from jax_aero.symbolic import load_robot
@@ -51,7 +51,7 @@ def compute(_: str, asked: Pictures) -> Findings:
     # Postures of the public table and of the tunnel.
     named = known_postures(["free_stream", "tunnel"])
     pictures = [posture_picture(robot, joints) for joints in named.values()]
-    starts, ends, diameters = capsules(reorder_joints(robot.joint_names, named["hovering"]))
+    starts, ends, diameters = capsules(joint_position(robot, named["hovering"]))
     data = xr.Dataset(
         {
             "flight": (("row", "column", "colour"), picture, {"long_name": f"{flown.title}, {asked.moment:g} s"}),
@@ -86,7 +86,7 @@ def posture_picture(robot: rust.Robot, joints_deg: Array) -> NDArray[np.uint8]:
             "base_position": height,
             "base_quaternion": FACING_X[None],
             "base_rpy_setpoint": np.zeros((1, 3)),
-            "joint_position": reorder_joints(robot.joint_names, joints_deg)[None],
+            "joint_position": joint_position(robot, joints_deg)[None],
             "com_position": height,
             "com_velocity": np.zeros((1, 3)),
             "com_setpoint": far,

@@ -27,6 +27,7 @@ from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
 from experiments.sweep.keys import set_all
+from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import plain, tables
 from jax_aero.base.cards import card_text, write_card
@@ -87,22 +88,20 @@ class PolicyConfig(tables.Table, frozen=True):
         )
 
 
-def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
+def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
     """Train, resuming an interrupted run, and judge."""
     task, training, seeds = config.task, config.training, config.seeds
     flights = {base: rust.load_config(base) for base in (task.experiment, *config.compared)}
-    kept = {
-        "config": plain.to_builtins(config),
-        "flights": {key: rust.config_digest(one) for key, one in flights.items()},
-    }
+    digests = {key: rust.config_digest(one) for key, one in flights.items()}
+    work = work.narrowed(Identity.of(digests))
     started = time.process_time()
     with jax.enable_x64(True):
         found = train(
             FlightEnv(task),
             training,
             seeds,
-            checkpoint=checkpoint,
-            digest=str(Identity.of(kept, [__name__])),
+            checkpoint=work.path("steps"),
+            digest=work.of,
         )
     trained = time.process_time() - started
     winds = draw_winds(SEED, config.winds, task)
@@ -139,7 +138,7 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
                     "task": dataclasses.asdict(task),
                     "settings": plain.to_builtins(training),
                     "seed": seed,
-                    "flight": kept["flights"][task.experiment],
+                    "flight": digests[task.experiment],
                     "mean_reward": float(rewards[f"seed {seed}"].mean()),
                     "mean_reward_without": float(rewards[task.experiment].mean()),
                 },
@@ -163,8 +162,7 @@ STUDY = Study(
     compute,
     ("hover",),
     engine="jax",
-    interrupted="the same command goes on from the last checkpoint",
-    progress=".checkpoint",
+    resumes=True,
 )
 main = STUDY.main
 

@@ -8,7 +8,6 @@ Flight r has wind or push from 45 r degrees. An interrupted study is resumed by 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,15 +15,15 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.identity import Identity
-from experiments.progress import Progress
 from experiments.studies.published_mpc import plan
 from experiments.studies.published_mpc.flight import Published, Settings
 from experiments.study import Findings, Study
 from experiments.sweep.intervals import wilson
 from experiments.sweep.perturbation import Perturbation
 from experiments.wind_direction import wind_from
+from experiments.work import Work
 from jax_aero import rust
-from jax_aero.base import places, plain, tables
+from jax_aero.base import places, tables
 
 EXPERIMENT, PERTURBATION = "mk3_min_jerk", places.CONFIGS / "perturbation" / "flight.toml"
 PUSHED = 6.0
@@ -110,18 +109,18 @@ class Compared(tables.Table, frozen=True):
                     raise Refused(f"`{key}` has `{name}`{places.did_you_mean(name, known)}")
 
 
-def compute(_: str, asked: Compared, path: Path) -> Findings:
+def compute(_: str, asked: Compared, work: Work) -> Findings:
     """Fly what is not flown yet, and make the table."""
     bases = {base: rust.load_config(base) for base, _ in OURS.values()}
-    asks = {"asked": plain.to_builtins(asked), "bases": {name: rust.config_digest(one) for name, one in bases.items()}}
-    progress = Progress(path, Identity.of(asks, [__name__], [PERTURBATION]))
+    work = work.narrowed(Identity.of({name: rust.config_digest(one) for name, one in bases.items()}, [PERTURBATION]))
     flown: dict[str, list[Any]] = {}
     for controller, case in cells(asked):
         name = f"{controller} | {case}"
-        if name not in progress.done:
-            progress.add(name, fly_cell(controller, CASES[case], asked))
-            print(f"  {row(name, progress.done[name])}", flush=True)
-        flown[name] = progress.done[name]
+        flights = work.read_json(name)
+        if flights is None:
+            work.write_json(name, flights := fly_cell(controller, CASES[case], asked))
+            print(f"  {row(name, flights)}", flush=True)
+        flown[name] = flights
     rows = {name: figures(flights) for name, flights in flown.items()}
     most = max(map(len, flown.values()))
     data = xr.Dataset(
@@ -138,7 +137,7 @@ def compute(_: str, asked: Compared, path: Path) -> Findings:
     return Findings("Published MPC and ours", data, rows, flights=bases, inputs=inputs, files=files, report=report)
 
 
-STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), engine="rust", progress=".jobs")
+STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), engine="rust", resumes=True)
 main = STUDY.main
 
 

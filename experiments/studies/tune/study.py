@@ -24,6 +24,7 @@ from experiments.identity import Identity
 from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
+from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import keys, places, plain, tables
 from jax_aero.base.terminal import ConfigError, Refused
@@ -54,7 +55,7 @@ class TuneConfig(tables.Table, frozen=True):
             raise ConfigError.of("keys", self.keys, "each key once")
 
 
-def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
+def compute(name: str, config: TuneConfig, work: Work) -> Findings:
     """Tune, resuming an interrupted run."""
     controller = rust.load_controller(config.controller)
     for key in config.keys:
@@ -64,15 +65,14 @@ def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
     if not worlds.is_sampled:
         raise Refused(f"{config.worlds.name} is a {worlds.design}; expected a sampled design")
     base = rust.load_config(worlds.base)
-    asked = {**plain.to_builtins(config), "base": rust.config_digest(base)}
-    identity = Identity.of(asked, [__name__], tables.files(config))
+    work = work.narrowed(Identity(rust.config_digest(base)))
     with jax.enable_x64(True):
         found = tune(
             _sample(config, controller, worlds),
             len(config.keys),
             config.steps,
-            checkpoint=checkpoint,
-            digest=str(identity),
+            checkpoint=work.path("steps"),
+            digest=work.of,
         )
     before, after = found.validations[0], min(found.validations, key=lambda one: one.cost)
     factors = {key: math.exp(value) for key, value in zip(config.keys, after.logarithms, strict=True)}
@@ -83,7 +83,7 @@ def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
         "worlds left out of steps": sum(found.left_out) / (config.steps.count * config.steps.batch),
         **{f"factor of {key}": factor for key, factor in factors.items()},
     }
-    texts = {f"{name}.toml": tuned_controller(config, controller, factors, checkpoint.with_name(name))}
+    texts = {f"{name}.toml": tuned_controller(config, controller, factors, work.folder.with_name(name))}
     flights = {places.name_of(worlds.base): base}
     return Findings(config.title, to_dataset(config, found), summary, flights=flights, texts=texts)
 
@@ -95,8 +95,7 @@ STUDY = Study(
     compute,
     ("aero_aware",),
     engine="jax",
-    interrupted="the same command goes on from the last validation",
-    progress=".checkpoint",
+    resumes=True,
 )
 main = STUDY.main
 

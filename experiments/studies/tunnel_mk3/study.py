@@ -23,6 +23,7 @@ from experiments.cfd.tunnel import SUPPORT
 from experiments.data import fit, tunnel
 from experiments.data.import_cfd import OUT
 from experiments.data.import_tunnel import MK3
+from experiments.data.ironcub import joint_position
 from experiments.study import Findings, Study
 from jax_aero.aero.dataset import Floats, wind_direction
 from jax_aero.aero.posture import axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
@@ -155,7 +156,9 @@ def models_of(robot: RobotModel, network: Path | None) -> dict[str, Model]:
     """Return the robot's coefficient sets and the network as functions."""
 
     def axisymmetric(coefficients: Floats) -> Model:
-        return lambda joints, wind: fit.predicted_areas(coefficients, link_axes(robot, joints), wind)
+        return lambda joints, wind: fit.predicted_areas(
+            coefficients, link_axes(robot, joint_position(robot, joints)), wind
+        )
 
     found = {name: axisymmetric(np.asarray(areas)) for name, areas in robot.aero_links.coefficients.items()}
     if network:
@@ -167,7 +170,7 @@ def models_of(robot: RobotModel, network: Path | None) -> dict[str, Model]:
 def totals(robot: RobotModel, model: Model, points: Points, turned: bool = False) -> tuple[Floats, Floats]:
     """Return force areas (N, 3) [m²] and moment volumes about the centre of mass (N, 3) [m³] of a model."""
     areas = model(points.joints, points.wind * TURNED if turned else points.wind)
-    force, moment = total_wrench(robot, points.joints, areas)
+    force, moment = total_wrench(robot, joint_position(robot, points.joints), areas)
     return (force * TURNED, moment * TURNED) if turned else (force, moment)
 
 

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jax_aero.aero.dataset import LINKS, Floats
+from experiments.data.ironcub import LINKS, joint_position
+from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import link_arms, link_axes
 from jax_aero.body.robot import RobotModel
 
@@ -52,13 +53,14 @@ def columns(robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, areas
     Parameters
     ----------
     joint_position_deg
-        (N, 19) [deg], order of `JOINTS`.
+        (N, 19) [deg], order of `ironcub.JOINTS`.
     wind_b
         (N, 3) unit vectors of the air's motion, base axes.
     areas
         (N, 13, 3) the model's force areas, base axes [m²].
     """
-    arms, axes = link_arms(robot, joint_position_deg), link_axes(robot, joint_position_deg)
+    joints = joint_position(robot, joint_position_deg)
+    arms, axes = link_arms(robot, joints), link_axes(robot, joints)
     drag = np.einsum("nlx,nx,ny->nly", areas, wind_b, wind_b)
     force = np.stack([drag, areas - drag, np.zeros_like(areas)], axis=2)
     moment = np.cross(arms[:, :, None], force)

@@ -23,6 +23,7 @@ from experiments import Refused
 from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
 from experiments.data import tunnel
 from experiments.data.import_cfd import OUT
+from experiments.data.ironcub import joint_position
 from experiments.studies.tunnel_moments.correction import Points, columns, held_out_errors
 from experiments.study import Findings, Study
 from jax_aero.aero.dataset import Floats, tunnel_from_base, wind_direction
@@ -106,7 +107,10 @@ def moments(robot: RobotModel, data: xr.Dataset, areas: Floats) -> Floats:
     The published arm adds a link's offset without rotating it into inertial axes; the robot has the attitude of flight,
     pitched in a lateral wind instead of yawed.
     """
-    frames, offsets = link_frames(robot, data["joint_position"].values), np.asarray(robot.aero_links.centres)
+    frames, offsets = (
+        link_frames(robot, joint_position(robot, data["joint_position"].values)),
+        np.asarray(robot.aero_links.centres),
+    )
     from_com = frames.positions - frames.com[:, None]
     base_from_inertial = np.swapaxes(tunnel_from_base(data["pitch"].values, 0.0), -1, -2)
     right = from_com + np.einsum("nlij,lj->nli", frames.rotations, offsets)
@@ -228,7 +232,7 @@ def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]
     found: dict[str, float] = {}
     for name in CORRECTED:
         of_links = areas[name][alone]
-        modelled = np.concatenate(total_wrench(robot, joints, of_links), axis=1)
+        modelled = np.concatenate(total_wrench(robot, joint_position(robot, joints), of_links), axis=1)
         steps = columns(robot, joints, wind, of_links)
         for side in SIDES:
             measured = np.concatenate([data["force_area"].values, moment_about_com(data, side)], axis=1)

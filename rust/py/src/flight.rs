@@ -176,7 +176,8 @@ pub fn check_config(config_json: &str) -> PyResult<()> {
     Ok(())
 }
 
-/// SHA-256 over the configuration and the files it names; the same on every machine.
+/// SHA-256 over the configuration and the files it names, without comments and layout of TOML and JSON; the same on every
+/// machine.
 #[pyfunction]
 pub fn config_digest(config_json: &str) -> PyResult<String> {
     let config = parse(config_json)?;
@@ -192,14 +193,25 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
             && key != "robot"
         {
             *written = file_name(&path).into();
-            hash.update(read_bytes(&path).map_err(value_error)?);
+            hash.update(content(&path, read_bytes(&path).map_err(value_error)?.to_vec()));
         }
     }
     hash.update(value.to_string());
-    hash.update(&robot.toml);
+    hash.update(content(&config.robot, robot.toml.into_bytes()));
     hash.update(&robot.urdf);
     let digest = hash.finalize();
     Ok(digest.iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}")))
+}
+
+/// What a TOML or JSON file says, as JSON; the bytes of any other file.
+fn content(path: &Path, bytes: Vec<u8>) -> Vec<u8> {
+    let text = std::str::from_utf8(&bytes).unwrap_or_default();
+    let said = match path.extension().and_then(|extension| extension.to_str()) {
+        Some("toml") => flight_io::toml::to_json(text, "").ok(),
+        Some("json") => serde_json::from_str::<Value>(text).ok().map(|value| value.to_string()),
+        _ => None,
+    };
+    said.map_or(bytes, String::into_bytes)
 }
 
 /// Velocity (times, 3) [m/s, inertial axes] of the wind of a profile in JSON, at times [s].

@@ -62,6 +62,7 @@ mod _core {
         let modes = Modes::NAMES.map(|(mode, name, _)| (name, mode.bits()));
         module.add("MODES", modes.into_py_dict(module.py())?)?;
         module.add("SETTLING_TIME", flight_sim::summary::SETTLING_TIME)?;
+        module.add("NUMERICS", flight_sim::NUMERICS)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

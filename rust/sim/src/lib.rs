@@ -34,6 +34,10 @@ mod warnings;
 mod wind;
 mod world;
 
+/// Version of the numbers that flights have, by which results of other numbers are told apart. It is raised where a
+/// flight changes a bit: `tests/golden` refuses a change without it.
+pub const NUMERICS: u32 = 1;
+
 pub use actuation::{Actuation, ActuationConfig};
 #[cfg(feature = "threads")]
 pub use batch::{BatchError, fly_batch};
