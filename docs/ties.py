@@ -307,7 +307,7 @@ def _of_flight(name: str, figure: str) -> Value:
     number = flight.lost_time if figure == "lost_time" else flight.summary.get(figure)
     if number is None:
         raise Wrong("names no figure")
-    unit = "s" if figure == "lost_time" else rust.figures()[figure].unit
+    unit = "s" if figure == "lost_time" else rust.figures()[figure].unit.replace(" s-1", "/s")
     return Value(number, UNITS[unit][0] if unit in UNITS else "")
 
 

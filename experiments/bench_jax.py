@@ -206,7 +206,7 @@ def cases(scenario: Any, hover: Any) -> Iterator[Case]:
 
 
 def _rollout(scenario: Any, state: Any) -> Any:
-    return sim.rollout(scenario, state, TICKS, lambda row: row.com_position, HOVER)[1]
+    return sim.rollout(scenario, state, TICKS, lambda row: row["com_position"], HOVER)[1]
 
 
 def _gradient(scenario: Any, state: Any) -> Any:

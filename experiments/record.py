@@ -1,7 +1,7 @@
 """Result folders, their content and writing: the interface between runs and figures.
 
-A folder holds `run.nc` (every signal once, with unit and named coordinates) and `manifest.json` (the configuration, the
-code, the machine, and the checksum of every other file). It is written completely or not at all.
+A folder holds `run.nc` (every signal and figure of merit once, with unit and named coordinates) and `manifest.json`
+(the configuration, the code, the machine, the checksum of every other file). It is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from experiments import Refused
 from experiments.identity import ANOTHER, Identity
@@ -28,6 +29,7 @@ from jax_aero.base.files import (
     write_netcdf,
 )
 from jax_aero.base.places import MANIFEST_FILE, RUN_FILE
+from jax_aero.base.quantities import attributes_of
 from jax_aero.base.result import FlightResult, is_repeated, labels_of
 
 
@@ -52,12 +54,12 @@ def to_dataset(
             raise ValueError(f"`{name}` has shape {values[name].shape}; expected {shape} for {signal.dims}")
         if is_repeated(name, values):
             continue
-        attributes = {"units": signal.unit, "long_name": signal.meaning}
-        # No integer stands for an unknown one, such as those of a tick that no controller has answered.
-        kind = "i4" if signal.is_integer and np.isfinite(values[name]).all() else "f8"
-        variables[name] = (signal.dims, values[name].astype(kind), attributes)
+        variables[name] = (signal.dims, *_stored(signal, values[name]))
     if undeclared := values.keys() - declared.keys():
         raise ValueError(f"the crate declares no signal {', '.join(sorted(undeclared))}")
+    for name, figure in rust.figures().items():
+        if name in flight.summary:
+            variables[name] = ((), *_stored(figure, np.asarray(flight.summary[name])))
     facts: dict[str, str | float] = {
         "title": title,
         "outcome": flight.outcome,
@@ -70,21 +72,21 @@ def to_dataset(
     return xr.Dataset(variables, coords, facts)
 
 
+def _stored(quantity: rust.Quantity, values: NDArray[np.float64]) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Return the numbers of a quantity as a file has them, with their attributes."""
+    # No integer stands for an unknown one, such as those of a tick that no controller has answered.
+    kind = np.int32 if quantity.numbers != "real" and np.isfinite(values).all() else np.float64
+    return values.astype(kind), attributes_of(quantity, kind)
+
+
 def _coordinates(flight: FlightResult, robot: rust.Robot) -> dict[str, Any]:
     group_of = {joint: group for group, joints in robot.joint_groups.items() for joint in joints}
-    coords: dict[str, Any] = {"time": ("time", flight.log["time"], {"units": "s", "long_name": "time"})}
+    coords: dict[str, Any] = {"time": ("time", flight.log["time"], attributes_of(rust.signals()["time"]))}
     for dim, names in labels_of(robot).items():
         coords[dim] = (dim, np.array(list(names), dtype=str))
     groups = np.array([group_of.get(joint, "") for joint in robot.joint_names], dtype=str)
     coords["joint_group"] = ("joint", groups, {"long_name": "sub-assembly of the joint"})
     return coords
-
-
-def write_dataset(dataset: xr.Dataset, path: Path) -> None:
-    """Write NetCDF-4, compressed losslessly."""
-    packed = {"zlib": True, "complevel": 1, "shuffle": True}
-    encoding = {str(name): packed for name in dataset.data_vars}
-    write_netcdf(path, dataset, encoding)
 
 
 def write_run(
@@ -98,7 +100,7 @@ def write_run(
 ) -> None:
     """Write a whole result folder at once; `texts` are additional files by name, and `more` writes others into it."""
     with complete_folder(folder, replace=replace) as draft:
-        write_dataset(dataset, draft / RUN_FILE)
+        write_netcdf(draft / RUN_FILE, dataset)
         for name, text in (texts or {}).items():
             write_bytes(draft / name, text if isinstance(text, bytes) else text.encode())
         more(draft)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import zip_longest
@@ -10,23 +9,21 @@ from typing import Any, TypeAlias
 
 import pandas as pd
 
+from jax_aero import rust
+from jax_aero.base.quantities import shown
 from jax_aero.base.result import ending
-from jax_aero.rust import SETTLING_TIME
 
 Rows: TypeAlias = Sequence[Sequence[str]]
 """Cells; the first row is the heading."""
 
-HEADINGS = (
-    "flight",
-    "outcome",
-    f"max CoM error from {SETTLING_TIME:g} s [cm]",
-    "max rotation error [deg]",
-    "thrusts [N]",
-)
+TABLED = {name: figure for name, figure in rust.figures().items() if figure.is_tabled}
+"""Figures of merit in a table of flights."""
+
+HEADINGS = ("flight", "outcome", *(shown(figure).text for figure in TABLED.values()))
 
 
 def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
-    """Return one line per flight: outcome, time and reason of a loss, largest errors, thrust range."""
+    """Return one line per flight: outcome, time and reason of a loss, and the figures of merit that tables show."""
     return text_table([HEADINGS, *(outcome_row(manifest) for manifest in manifests)])
 
 
@@ -104,18 +101,12 @@ FORMATS: Mapping[str, Callable[[Rows], str]] = {"text": text_table, "csv": csv_t
 def outcome_row(manifest: Mapping[str, Any]) -> Sequence[str]:
     """Return the cells of a flight, below `HEADINGS`."""
     summary = manifest["summary"]
-    rotation, com = summary.get("max_rotation_error"), summary.get("max_com_error")
     outcome = ending(manifest["outcome"], manifest["lost_time"], manifest["lost_reason"])
     if manifest["outcome"] == "descended":
-        outcome += f", arrives at {_number(summary.get('end_speed'), '.1f')} m/s"
-    return (
-        manifest["name"],
-        outcome,
-        _number(None if com is None else 100.0 * com, ".1f"),
-        _number(None if rotation is None else math.degrees(rotation), ".1f"),
-        f"{_number(summary.get('thrust_min'), '.1f')} to {_number(summary.get('thrust_max'), '.1f')}",
-    )
+        outcome += f", arrives at {_number(summary, 'end_speed')} m/s"
+    return (manifest["name"], outcome, *(_number(summary, name) for name in TABLED))
 
 
-def _number(value: float | None, form: str) -> str:
-    return "?" if value is None else format(value, form)
+def _number(summary: Mapping[str, float | None], name: str) -> str:
+    value = summary.get(name)
+    return "?" if value is None else f"{shown(rust.figures()[name], value).values:.1f}"

@@ -70,7 +70,6 @@ __all__ = [
     "ControllerState",
     "Dynamics",
     "Estimates",
-    "Figure",
     "Flight",
     "FlightResult",
     "Jacobian",
@@ -79,12 +78,12 @@ __all__ = [
     "Progress",
     "QpAnswer",
     "QpProblem",
+    "Quantity",
     "Residual",
     "Robot",
     "RowProblem",
     "Seen",
     "Setpoint",
-    "Signal",
     "State",
     "Tick",
     "World",
@@ -889,49 +888,59 @@ def schemas() -> dict[str, dict[str, Any]]:
 
 
 @dataclass(frozen=True)
-class Signal:
-    """Declaration of a signal of the log.
+class Quantity:
+    """Declaration of a signal of the log, or of a figure of merit.
 
     Attributes
     ----------
+    label
+        Name in plots and tables.
     dims
-        Names of its dimensions; a signal without "time" has one value for the flight.
+        Names of its dimensions; without "time" it has one value for the flight.
     unit, meaning
         Unit and description, as in result files.
-    is_integer
-        Whether its values are integers.
+    shown
+        Unit in which it is shown; empty for the usual one.
+    numbers
+        What its values are: "real", "integer", "code", or "bits" for sums of them.
+    codes
+        What codes and bits stand for, by name.
     is_of_ground
-        Whether only engines with ground contact log it.
+        Whether only engines with ground contact have it.
+    is_tabled
+        Whether tables of flights show it.
     """
 
+    label: str
     dims: tuple[str, ...]
     unit: str
+    shown: str
     meaning: str
-    is_integer: bool
+    numbers: str
+    codes: Mapping[str, int]
     is_of_ground: bool
+    is_tabled: bool
 
 
-@dataclass(frozen=True)
-class Figure:
-    """Declaration of a figure of merit; `is_of_ground` as in `Signal`."""
-
-    unit: str
-    meaning: str
-    is_of_ground: bool
+def _declared(declarations: str) -> Mapping[str, Quantity]:
+    found = {}
+    for row in json.loads(declarations):
+        name, label = row.pop("name"), row.pop("label")
+        codes = {meaning: code for code, meaning in row.pop("codes")}
+        found[name] = Quantity(label or name.replace("_", " "), tuple(row.pop("dims")), codes=codes, **row)
+    return MappingProxyType(found)
 
 
 @functools.cache
-def signals() -> Mapping[str, Signal]:
+def signals() -> Mapping[str, Quantity]:
     """Return the declarations of all signals by name."""
-    return MappingProxyType(
-        {row.pop("name"): Signal(tuple(row.pop("dims")), **row) for row in json.loads(_core.signals())}
-    )
+    return _declared(_core.signals())
 
 
 @functools.cache
-def figures() -> Mapping[str, Figure]:
+def figures() -> Mapping[str, Quantity]:
     """Return the declarations of all figures of merit by name."""
-    return MappingProxyType({row.pop("name"): Figure(**row) for row in json.loads(_core.figures())})
+    return _declared(_core.figures())
 
 
 def config_digest(config: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from experiments.sweep.intervals import SHARE
 from paper_figs import style
-from paper_figs.sweeps import Sweep, axis_label, level_label
+from paper_figs.sweeps import Sweep, axis_label, level_label, shown_figure
 
 SERIES = (
     (style.BLUE, "o", "-"),
@@ -27,11 +27,8 @@ SERIES = (
     (style.BLACK, "P", "--"),
     (style.SKY, "X", "-."),
 )
-COLUMNS: Sequence[tuple[str, str]] = (
-    ("upright", SHARE.replace(", ", ",\n")),
-    ("rotation_error_deg", "max rotation error [deg]"),
-    ("com_error", "max CoM error [cm]"),
-)
+UPRIGHT = SHARE.replace(", ", ",\n")
+"""What the first panel shows; the others show figures of merit."""
 
 
 def draw(sweep: Sweep) -> Figure:
@@ -58,30 +55,29 @@ def _groups(cells: pd.DataFrame, axes: Sequence[dict[str, Any]]) -> list[tuple[s
     return found
 
 
-def spread(cells: pd.DataFrame, quantity: str) -> tuple[Any, Any, Any]:
-    """Return centre, lower and upper end of a quantity for each cell."""
-    if quantity == "upright":
+def spread(cells: pd.DataFrame, figure: str | None) -> tuple[str, Any, Any, Any]:
+    """Return label, centre, lower and upper end of a figure of merit for each cell; without one, of the share."""
+    if figure is None:
         share = 100.0 * cells["upright"] / cells["flights"].clip(lower=1)
-        return share, 100.0 * cells["upright_low"], 100.0 * cells["upright_high"]
-    factor = 100.0 if quantity == "com_error" else 1.0
-    centre, low, high = (factor * cells[f"{quantity}_{end}"] for end in ("median", "p10", "p90"))
-    return centre, low, high
+        return UPRIGHT, share, 100.0 * cells["upright_low"], 100.0 * cells["upright_high"]
+    centre, low, high = (shown_figure(figure, cells, end) for end in ("median", "p10", "p90"))
+    return centre.text, centre.values, low.values, high.values
 
 
 def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
     labels = list(dict.fromkeys(sweep.cells[axis["name"]]))
     height = 1.3 + (0.13 + 0.11 * len(groups)) * len(labels)
     figure = style.figure(height)
-    row = figure.subplots(1, 3, sharey=True)
+    row = figure.subplots(1, 1 + len(sweep.of), sharey=True)
     offsets = (np.arange(len(groups)) - (len(groups) - 1) / 2.0) * (0.66 / max(len(groups), 1))
-    for axes, (quantity, title) in zip(row, COLUMNS, strict=True):
+    for axes, of in zip(row, (None, *sweep.of), strict=True):
         for (label, cells), offset, (colour, marker, _) in zip(groups, offsets, SERIES[: len(groups)], strict=True):
-            centre, low, high = spread(cells, quantity)
+            title, centre, low, high = spread(cells, of)
             place = np.array([labels.index(name) for name in cells[axis["name"]]]) + offset
             axes.hlines(place, low, high, color=colour, linewidth=1.4)
             axes.plot(centre, place, marker, color=colour, markersize=3.8, label=label)
         axes.set_xlabel(title)
-        axes.set_xlim(left=-2.0 if quantity == "upright" else 0.0)
+        axes.set_xlim(left=0.0)
         axes.grid(visible=False, axis="y")
         for line in range(1, len(labels)):
             axes.axhline(line - 0.5, color=style.LIGHT, linewidth=0.5)
@@ -94,16 +90,16 @@ def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
 
 def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
     figure = style.figure(2.9)
-    row = figure.subplots(1, 3)
+    row = figure.subplots(1, 1 + len(sweep.of))
     values = sweep.cells[axis["name"]]
     steps = _is_geometric(values)
-    for axes, (quantity, title) in zip(row, COLUMNS, strict=True):
+    for axes, of in zip(row, (None, *sweep.of), strict=True):
         for (label, cells), (colour, marker, dash) in zip(groups, SERIES[: len(groups)], strict=True):
-            centre, low, high = spread(cells, quantity)
+            title, centre, low, high = spread(cells, of)
             axes.fill_between(cells[axis["name"]], low, high, color=colour, alpha=0.16, linewidth=0)
             axes.plot(cells[axis["name"]], centre, dash, marker=marker, color=colour, markersize=3.5, label=label)
         axes.set_ylabel(title)
-        axes.set_ylim(bottom=-2.0 if quantity == "upright" else 0.0)
+        axes.set_ylim(bottom=0.0)
         if steps:
             least, most = float(values[values > 0.0].min()), float(values.max())
             axes.set_xscale("symlog", linthresh=least, linscale=0.6)

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from experiments import outdated
 from jax_aero import cli
 from jax_aero.base import places
+from jax_aero.base.quantities import COLUMNS
 from jax_aero.base.terminal import Refused
 from paper_figs import ablation, front, maps, model_pairs, pairs, runs, scatter, style, sweeps
 from paper_figs.figures import FIGURES, SWEEPS
@@ -98,7 +99,7 @@ def _check(name: str, given: argparse.Namespace) -> str:
 def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
     if name in FIGURES:
         return FIGURES[name].draw_from_results(given.results, given.runs or (), given.labels or ())
-    sweep = sweeps.load(given.sweeps, name)
+    sweep = sweeps.load(given.sweeps, name, given.of or ())
     return draw_sweep(sweep, given.paired), sweep.hashes
 
 
@@ -123,7 +124,8 @@ def draw_sweep(sweep: sweeps.Sweep, axis: str | None = None) -> Figure:
 def _file_name(name: str, given: argparse.Namespace) -> str:
     """Return the file name of a figure, with a suffix if it shows other results than its own, or differences."""
     if name not in FIGURES:
-        return f"{name}--paired_{given.paired}" if given.paired else name
+        shown = f"paired_{given.paired}" if given.paired else "_".join(given.of or ())
+        return f"{name}--{shown}" if shown else name
     if not given.runs or tuple(given.runs) == FIGURES[name].runs:
         return name
     return name + places.addition("--" + "_".join(Path(run).name for run in given.runs))
@@ -144,6 +146,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--paired", metavar="AXIS", help="of sweeps: differences of an axis' levels to the first one, on the same draws"
+    )
+    parser.add_argument(
+        "--of",
+        nargs="+",
+        metavar="COLUMN",
+        choices=COLUMNS,
+        help="of sweeps: figures of merit to draw (default: errors)",
     )
     parser.add_argument("--dark", action="store_true", help="also write NAME_dark.png, for a dark page")
     parser.add_argument(

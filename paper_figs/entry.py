@@ -17,7 +17,7 @@ class Entry:
     """A figure: its drawing function and the results it shows."""
 
     draw: Callable[..., Figure]
-    """Function of the results in order, a `Run` for each flight or a dataset for each study; or else of the tables."""
+    """Function of the results in order, a dataset for each; or else of the tables."""
     shows: str
     kind: str = ""
     """Kind of the results: "flight" or a kind of study; empty without results."""
@@ -60,7 +60,7 @@ class Entry:
         if self.tables:
             return self.draw(*map(tunnel.read, self.tables)), tunnel.hashes(*self.tables)
         if self.kind == "flight":
-            flights = [runs.load(results, *named) for named in zip_longest(names, labels)]
-            return self.draw(*flights), {run.name: run.config_hash for run in flights}
-        loaded = [runs.load_study(results, self.kind, name) for name in names]
-        return self.draw(*loaded), {study.attrs["name"]: str(study.attrs["config_hash"]) for study in loaded}
+            loaded = [runs.load(results, *named) for named in zip_longest(names, labels)]
+        else:
+            loaded = [runs.load_study(results, self.kind, name) for name in names]
+        return self.draw(*loaded), {run.attrs["name"]: str(run.attrs["config_hash"]) for run in loaded}

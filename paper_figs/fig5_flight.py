@@ -8,20 +8,20 @@ Panel a of the paper is a picture of a viewer; `fig5a` draws it.
 
 from __future__ import annotations
 
+import xarray as xr
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
-from paper_figs.runs import Run
 
 
-def draw(first: Run, second: Run) -> Figure:
+def draw(first: xr.Dataset, second: xr.Dataset) -> Figure:
     """Draw the figure from two runs: the first in panels d to f, the second in g to i."""
     figure = style.figure(7.4)
     top, upper, lower = figure.subfigures(3, 1, height_ratios=(1.0, 1.15, 1.22), squeeze=False)[:, 0]
 
     b, c = top.subplots(1, 2)
-    panels.com_setpoint(b, first)
-    panels.wind(c, first)
+    panels.components(b, first["com_setpoint"])
+    panels.components(c, first["wind"])
     style.letters((b, c), "bc")
     for axes in (b, c):
         axes.set_xlabel("time [s]")
@@ -29,7 +29,7 @@ def draw(first: Run, second: Run) -> Figure:
 
     panels.row(upper, first, "def")
     panels.row(lower, second, "ghi", control=True)
-    end = max(float(run.data["time"][-1]) for run in (first, second))
+    end = max(float(run["time"][-1]) for run in (first, second))
     for axes in figure.axes:
         axes.set_xlim(0.0, end)
     return figure

@@ -11,12 +11,13 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
-from jax_aero.base import places
+from jax_aero.base import flights, places
+from jax_aero.base.quantities import shown
 from paper_figs import panels, style
-from paper_figs.runs import Run, Series
 
 RECORDS = {"balancing_front": "standing_front_2", "balancing_lateral": "standing_lateral"}
 """The record of the run of a name, and of one that begins with it."""
@@ -33,7 +34,7 @@ LEG = (
 """Joints of a leg, with colours and dashes."""
 
 
-def draw(*runs: Run) -> Figure:
+def draw(*runs: xr.Dataset) -> Figure:
     """Draw the figure from two runs: the first in panels a to f, the second in g to l."""
     figure = style.figure(8.6)
     parts = figure.subfigures(2, 1, squeeze=False)[:, 0]
@@ -42,23 +43,27 @@ def draw(*runs: Run) -> Figure:
     return figure
 
 
-def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
-    flown, record = run.log_to_loss, _record(run.name)
-    style.title(figure, run.title + (" (pale: the real robot)" if record else ""), size=8.5)
+def _experiment(figure: FigureBase, run: xr.Dataset, letters: str) -> None:
+    flown, record = flights.until_loss(run), _record(run.attrs["name"])
+    style.title(figure, run.attrs["title"] + (" (pale: the real robot)" if record else ""), size=8.5)
     grid = figure.subplots(2, 3, sharex=True)
     com = flown["com_position"]
-    panels.components(grid[0, 0], flown["measured_wind"], "measured wind [m/s]")
-    panels.components(grid[0, 1], flown["aero_force_control"].sum("link"), "aerodynamic force [N]")
-    panels.components(grid[0, 2], 1e3 * (com - com.isel(time=0)), "CoM, from the start [mm]")
-    _leg(grid[1, 0], flown["joint_position"] * (180.0 / np.pi), "left leg joints [deg]")
-    _leg(grid[1, 1], flown["joint_torque"], "torques, desired [N m]")
-    _leg(grid[1, 2], flown["joint_torque_measured"], "torques, at the joints [N m]")
+    moved = com.attrs | {"label": "CoM, from the start", "shown": "mm"}
+    panels.components(grid[0, 0], flown["measured_wind"])
+    panels.components(grid[0, 1], flights.aero_force(flown, of_controller=True))
+    panels.components(grid[0, 2], (com - com.isel(time=0)).assign_attrs(moved))
+    for axes, name in zip(grid[1], ("joint_position", "joint_torque", "joint_torque_measured"), strict=True):
+        _leg(axes, flown[name])
     if record:
         air = [name for name in record if name.startswith("air/")]
         record |= {
             f"force_{a}": np.sum([record[name] for name in air if name.endswith(f"/{a}")], axis=0) for a in "xyz"
         }
-        record |= {f"moved_{a}": 1e3 * (record[f"com_{a}"] - record[f"com_{a}"][0]) for a in "xyz" if "com_x" in record}
+        record |= {
+            f"moved_{a}": shown(moved, record[f"com_{a}"] - record[f"com_{a}"][0]).values
+            for a in "xyz"
+            if "com_x" in record
+        }
         for axes, prefix in zip(grid[0], ("wind_", "force_", "moved_"), strict=True):
             _pale(axes, record, {prefix + axis: colour for axis, colour in style.AXES_COLOURS.items()})
         for axes, prefix in zip(grid[1], ("q/l_", "tau_des/l_", "tau_meas/l_"), strict=True):
@@ -69,17 +74,15 @@ def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
     for axes in grid[1]:
         axes.set_xlabel("time [s]")
     style.legend_above(grid[1, 0], columns=3)
-    grid[0, 0].set_xlim(0.0, float(run.data["time"][-1]))
-    if run.lost_time is not None:
-        for axes in grid.ravel():
-            style.mark_fall(axes, run.lost_time)
+    grid[0, 0].set_xlim(0.0, float(run["time"][-1]))
+    for axes in grid.ravel():
+        panels.mark_loss(axes, run, labelled=False)
 
 
-def _leg(axes: Axes, joints: Series, label: str) -> None:
+def _leg(axes: Axes, joints: xr.DataArray) -> None:
     for name, colour, dash in LEG:
         signal = joints.sel(joint=f"l_{name}")
-        axes.plot(signal["time"], signal, dash, color=colour, label=name.replace("_", " "), linewidth=0.9)
-    axes.set_ylabel(label)
+        panels.line(axes, signal, dash, color=colour, label=name.replace("_", " "), linewidth=0.9)
 
 
 def _record(name: str) -> dict[str, Any]:

@@ -11,14 +11,10 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
 from paper_figs import style
-from paper_figs.sweeps import Sweep, axis_label
+from paper_figs.sweeps import Sweep, axis_label, shown_figure
 
-ROWS = (
-    ("upright", "flights that complete or come down", "cividis", np.inf),
-    ("rotation_error_deg_worst", "worst rotation error [deg]", "cividis_r", 90.0),
-    ("com_error_cm_worst", "worst CoM error [cm]", "cividis_r", 100.0),
-)
-"""Column of the cells, its title, colour map, and greatest value of the colours; infinite: the number of flights."""
+MOST = {"max_rotation_error_deg": 90.0, "max_com_error": 100.0}
+"""Greatest values of the colours; those of other figures of merit have none."""
 
 
 def draw(sweep: Sweep) -> Figure:
@@ -28,15 +24,20 @@ def draw(sweep: Sweep) -> Figure:
     down, across = sweep.axes
     panel = sweep.panel_axis
     levels = [None] if panel is None else list(dict.fromkeys(sweep.cells[panel["name"]]))
-    figure = style.figure(2.35 * len(ROWS) + 0.4)
-    flights = float(sweep.cells["flights"].max())
-    grid = figure.subplots(len(ROWS), len(levels), sharex=True, sharey=True, squeeze=False)
-    for row, (quantity, title, colours, greatest) in enumerate(ROWS):
-        most = flights if np.isinf(greatest) else greatest
+    rows = 1 + len(sweep.of)
+    figure = style.figure(2.35 * rows + 0.4)
+    grid = figure.subplots(rows, len(levels), sharex=True, sharey=True, squeeze=False)
+    for row, of in enumerate((None, *sweep.of)):
+        title, values, most = "flights that complete or come down", sweep.cells["upright"], sweep.cells["flights"].max()
+        if of is not None:
+            worst = shown_figure(of, sweep.cells, "worst")
+            title, values = f"worst {worst.text.removeprefix('max ')}", worst.values
+            most = MOST.get(of, values[np.isfinite(values)].max())
         for column, level in enumerate(levels):
-            cells = sweep.cells if panel is None or level is None else sweep.cells[sweep.cells[panel["name"]] == level]
+            table = sweep.cells.assign(shown=values)
+            cells = table if panel is None or level is None else table[table[panel["name"]] == level]
             axes = grid[row, column]
-            image = _map(axes, cells, (down["name"], across["name"]), quantity, colours, most)
+            image = _map(axes, cells, (down["name"], across["name"]), float(most), is_error=of is not None)
             if row == 0 and panel is not None:
                 axes.set_title(level)
             if column == 0:
@@ -59,12 +60,12 @@ def _least_share(cells: pd.DataFrame) -> float:
     return 100.0 * float(full["upright_low"].min()) if len(full) else 0.0
 
 
-def _map(
-    axes: Axes, cells: pd.DataFrame, names: tuple[str, str], quantity: str, colours: str, most: float
-) -> AxesImage:
-    table = cells.assign(com_error_cm_worst=100.0 * cells["com_error_worst"])
+def _map(axes: Axes, cells: pd.DataFrame, names: tuple[str, str], most: float, *, is_error: bool) -> AxesImage:
     # Not `pivot_table`, which drops a level without numbers and thereby shifts the others.
-    values = table.pivot(index=names[0], columns=names[1], values=quantity)
+    values, colours = (
+        cells.pivot(index=names[0], columns=names[1], values="shown"),
+        "cividis_r" if is_error else "cividis",
+    )
     norm = Normalize(0.0, most)
     image = axes.imshow(values, cmap=colours, norm=norm, aspect="auto", origin="lower")
     axes.set_xticks(range(values.shape[1]), [f"{value:g}" for value in values.columns])
@@ -75,7 +76,7 @@ def _map(
             line(edge, color="white", linewidth=0.6)
     for y, x in np.ndindex(values.shape):
         value = float(values.iloc[y, x])
-        shade = norm(min(value, most)) if colours == "cividis" else 1.0 - norm(min(value, most))
+        shade = 1.0 - norm(min(value, most)) if is_error else norm(min(value, most))
         # Values after a fall are not meaningful.
         text = "–" if np.isnan(value) else f">{most:g}" if value > most else f"{value:.0f}"
         axes.text(x, y, text, ha="center", va="center", fontsize=5.8, color="white" if shade < 0.55 else "black")

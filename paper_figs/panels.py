@@ -4,59 +4,57 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import cycle
+from typing import Any
 
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.lines import Line2D
 
+from jax_aero.base import flights
+from jax_aero.base.quantities import shown_array
 from paper_figs import style
-from paper_figs.runs import Run, Series
 
 SIDES = {"l": "left", "r": "right"}
 SILENT = ("jet", "turbine")  # words left out in legends of jets
 
 
-Panel = Callable[[Axes, Run], None]
+Panel = Callable[[Axes, xr.Dataset], None]
 
 
-def title(figure: FigureBase, run: Run) -> None:
-    """Put the title of a run above its part of a figure."""
-    style.title(figure, run.title, size=8.5)
+def line(axes: Axes, values: xr.DataArray, *look: str, **options: Any) -> None:
+    """Draw a quantity over time, with its label and unit beside the axis."""
+    seen = shown_array(values)
+    axes.plot(values["time"], seen.values, *look, **options)
+    axes.set_ylabel(seen.text)
 
 
-def com_setpoint(axes: Axes, run: Run) -> None:
-    """Draw the smoothed reference of the centre of mass."""
-    components(axes, run.data["com_setpoint"], "CoM reference [m]")
+def components(axes: Axes, vectors: xr.DataArray, *, dash: str = "-", labelled: bool = True) -> None:
+    """Draw the components of vectors over time, by colour."""
+    for axis, colour in style.AXES_COLOURS.items():
+        line(axes, vectors.sel(xyz=axis), dash, color=colour, label=axis if labelled else "_nolegend_")
 
 
-def wind(axes: Axes, run: Run) -> None:
-    """Draw the wind velocity."""
-    components(axes, run.data["wind"], "wind [m/s]")
-
-
-def joint_errors(axes: Axes, run: Run) -> None:
+def joint_errors(axes: Axes, run: xr.Dataset) -> None:
     """Draw the sum of absolute joint errors of each group."""
-    errors = run.joint_error_sum_deg()
+    errors = flights.joint_error_sums(flights.until_loss(run))
     for group, colour in zip(errors["group"].values.tolist(), cycle(style.GROUP_COLOURS), strict=False):
         dash = "--" if "right" in readable_name(group) else "-"
-        axes.plot(errors["time"], errors.sel(group=group), dash, color=colour, label=readable_name(group))
-    axes.set_ylabel("sum of joint errors |Δs| [deg]")
+        line(axes, errors.sel(group=group), dash, color=colour, label=readable_name(group))
     axes.set_ylim(bottom=0.0)
 
 
-def aero_force(axes: Axes, run: Run, *, control: bool) -> None:
+def aero_force(axes: Axes, run: xr.Dataset, *, control: bool) -> None:
     """Draw the sum of aerodynamic forces over the links; with `control`, also the one that the controller assumes."""
-    label = "aerodynamic force [N]"
-    components(axes, run.log_to_loss["aero_force_sim"].sum("link"), label)
+    flown = flights.until_loss(run)
     if control:
-        components(axes, run.log_to_loss["aero_force_control"].sum("link"), label, dash="--", labelled=False)
+        components(axes, flights.aero_force(flown, of_controller=True), dash="--", labelled=False)
+    components(axes, flights.aero_force(flown))
 
 
-def aero_force_difference(axes: Axes, run: Run) -> None:
+def aero_force_difference(axes: Axes, run: xr.Dataset) -> None:
     """Draw the simulator's total aerodynamic force minus the controller's."""
-    flown = run.log_to_loss
-    difference = flown["aero_force_sim"].sum("link") - flown["aero_force_control"].sum("link")
-    components(axes, difference, "force difference [N]")
+    components(axes, flights.aero_force_difference(flights.until_loss(run)))
 
 
 def aero_force_key() -> list[Line2D]:
@@ -67,18 +65,17 @@ def aero_force_key() -> list[Line2D]:
     return [x, simulator, y, controller, z]
 
 
-def thrusts(axes: Axes, run: Run) -> None:
+def thrusts(axes: Axes, run: xr.Dataset) -> None:
     """Draw the thrust of each jet."""
-    thrust = run.log_to_loss["thrust"]
+    thrust = flights.until_loss(run)["thrust"]
     looks = zip(cycle(style.JET_COLOURS), cycle(style.JET_DASHES), strict=False)
     for name, (colour, dash) in zip(thrust["jet"].values.tolist(), looks, strict=False):
-        axes.plot(thrust["time"], thrust.sel(jet=name), dash, color=colour, label=readable_name(name))
-    axes.set_ylabel("thrust [N]")
+        line(axes, thrust.sel(jet=name), dash, color=colour, label=readable_name(name))
 
 
-def row(figure: FigureBase, run: Run, letters: str, *, control: bool = False, last: Panel = thrusts) -> None:
+def row(figure: FigureBase, run: xr.Dataset, letters: str, *, control: bool = False, last: Panel = thrusts) -> None:
     """Draw joint errors, total force and a last panel side by side; the panels have the given letters."""
-    title(figure, run)
+    style.title(figure, run.attrs["title"], size=8.5)
     errors, force, third = panels = figure.subplots(1, 3)
     joint_errors(errors, run)
     aero_force(force, run, control=control)
@@ -86,22 +83,19 @@ def row(figure: FigureBase, run: Run, letters: str, *, control: bool = False, la
     style.letters(panels[-len(letters) :], letters)
     for axes in panels:
         axes.set_xlabel("time [s]")
-        if run.lost_time is not None:
-            style.mark_fall(axes, run.lost_time, run.ending if axes is errors else None)
+        mark_loss(axes, run, labelled=axes is errors)
     style.legend_above(errors, columns=3)
     style.legend_above(force, columns=3, handles=aero_force_key() if control else None)
     style.legend_above(third, columns=2 if last is thrusts else 3)
+
+
+def mark_loss(axes: Axes, run: xr.Dataset, *, labelled: bool = True) -> None:
+    """Draw when a flight was lost, if it was, and how."""
+    if (time := flights.lost_time(run)) is not None:
+        style.mark_fall(axes, time, flights.ending_at(run) if labelled else None)
 
 
 def readable_name(name: str) -> str:
     """Return the name of a jet or of a group of joints in words: `l_arm_jet` is the "left arm"."""
     words = [SIDES.get(word, word) for word in name.split("_") if word not in SILENT] or name.split("_")
     return " ".join(sorted(words, key=lambda word: word not in SIDES.values()))
-
-
-def components(axes: Axes, vectors: Series, label: str, *, dash: str = "-", labelled: bool = True) -> None:
-    """Draw the components of vectors over time, by colour."""
-    for axis, colour in style.AXES_COLOURS.items():
-        component = vectors.sel(xyz=axis)
-        axes.plot(component["time"], component, dash, color=colour, label=axis if labelled else "_nolegend_")
-    axes.set_ylabel(label)

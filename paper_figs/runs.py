@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 
 from jax_aero.base import run_file
 from jax_aero.base.places import RESULTS, RUN_FILE, is_path
 from jax_aero.base.terminal import Refused
 from paper_figs import style
-
-Series = xr.DataArray
 
 
 class NotDrawn(Exception):
@@ -23,60 +18,6 @@ class NotDrawn(Exception):
 
 class MissingRun(NotDrawn):
     """A figure lacks a flight or a package; the message names it and how to get it."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """One flight, up to its end or loss."""
-
-    name: str
-    data: xr.Dataset
-
-    @property
-    def title(self) -> str:
-        """Return the title of the run, in the paper's terms."""
-        return escape_text(self.data.attrs["title"])
-
-    @property
-    def config_hash(self) -> str:
-        """Return the digest of the flown configuration."""
-        return str(self.data.attrs["config_hash"])
-
-    @property
-    def lost_time(self) -> float | None:
-        """Return when the flight was lost [s], or `None` if it reached its end."""
-        time = float(self.data.attrs["lost_time"])
-        return None if np.isnan(time) else time
-
-    @property
-    def ending(self) -> str:
-        """Return the outcome in words: "fell at 21.4 s", "descended at 30.2 s"."""
-        end = float(self.data["time"][-1]) if self.lost_time is None else self.lost_time
-        return f"{self.data.attrs['outcome']} at {end:.1f} s"
-
-    @cached_property
-    def log_to_loss(self) -> xr.Dataset:
-        """Return the log up to its loss, after which values are not meaningful and may be unbounded."""
-        return self.data if self.lost_time is None else self.data.sel(time=slice(None, self.lost_time))
-
-    def joint_error_sum_deg(self) -> Series:
-        """Return the sum of absolute joint errors of each group [deg], dims time and group."""
-        error = abs(self.log_to_loss["joint_position"] - self.log_to_loss["joint_setpoint"]) * (180.0 / np.pi)
-        group_of = self.log_to_loss["joint_group"].values
-        groups = list(dict.fromkeys(group_of.tolist()))  # in the robot's order
-        sums = np.zeros((len(error["time"]), len(groups)))
-        for column, group in enumerate(groups):
-            sums[:, column] = error.isel(joint=np.flatnonzero(group_of == group)).sum("joint").values
-        return Series(sums, {"time": error["time"], "group": groups}, ("time", "group"))
-
-    def rotation_error_deg(self) -> Series:
-        """Return the angle between the base's rotation and its reference [deg]."""
-        return self.log_to_loss["rotation_error"] * (180.0 / np.pi)
-
-    def com_error(self) -> Series:
-        """Return the distance of the centre of mass from its reference [m]."""
-        offset = self.log_to_loss["com_position"] - self.log_to_loss["com_setpoint"]
-        return (offset**2).sum("xyz") ** 0.5
 
 
 def escape_text(text: object) -> str:
@@ -91,16 +32,17 @@ def folder_of(results: Path, kind: str, name: str) -> Path:
     return Path(name) if is_path(name) else results / name
 
 
-def load(results: Path, name: str, label: str | None = None) -> Run:
-    """Read the run of this name, or in a folder given by its path, with a label in place of its name and title."""
+def load(results: Path, name: str, label: str | None = None) -> xr.Dataset:
+    """Read the flight of this name, or in a folder given by its path, with a label in place of its name and title."""
     path = folder_of(results, "flight", name) / RUN_FILE
     if is_path(name) and not path.is_file():
         raise MissingRun(f"no flight in `{name}`; expected the folder of one")
     if not path.is_file():
         elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
         raise MissingRun(f"no flight `{name}` in {results}; fly it with: jax-aero fly {result_words(name, elsewhere)}")
-    data = read(path)
-    return Run(path.parent.name, data) if label is None else Run(escape_text(label), data.assign_attrs(title=label))
+    flight = read(path)
+    named = (path.parent.name, flight.attrs["title"]) if label is None else (label, label)
+    return flight.assign_attrs(zip(("name", "title"), map(escape_text, named), strict=True))
 
 
 def load_study(results: Path, kind: str, name: str) -> xr.Dataset:

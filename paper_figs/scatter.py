@@ -8,14 +8,15 @@ from matplotlib.figure import Figure, FigureBase
 
 from jax_aero.base.result import LOST
 from paper_figs import style
-from paper_figs.sweeps import Sweep, axis_label
+from paper_figs.ablation import SERIES
+from paper_figs.sweeps import Sweep, axis_label, shown_figure
 
 
 def draw(sweep: Sweep) -> Figure:
     """Draw a sampled sweep: rank correlations, then one scatter plot per axis."""
     sweep.require(bool(sweep.axes) and all(map(sweep.is_numeric, sweep.axes)), "axes of numbers beside the panels")
     flights = sweep.flights[sweep.flights["outcome"] != "error"]
-    error = flights["max_rotation_error_deg"]
+    error = shown_figure(sweep.of[0], flights)
     axes_of = sweep.axes
     columns = 3
     rows = -(-len(axes_of) // columns)
@@ -26,32 +27,34 @@ def draw(sweep: Sweep) -> Figure:
     lost = flights["outcome"].isin(LOST)
     for axes, axis in zip(grid.flat, axes_of, strict=False):
         x = flights[axis["name"]]
-        axes.plot(x[~lost], error[~lost], "o", color=style.BLUE, markersize=1.8, alpha=0.6, label="flown to the end")
-        axes.plot(x[lost], error[lost], "x", color=style.VERMILION, markersize=4, label="lost")
+        axes.plot(
+            x[~lost], error.values[~lost], "o", color=style.BLUE, markersize=1.8, alpha=0.6, label="flown to the end"
+        )
+        axes.plot(x[lost], error.values[lost], "x", color=style.VERMILION, markersize=4, label="lost")
         axes.set_xlabel(axis_label(axis), fontsize=7)
-        axes.set_ylim(0.0, 95.0)
+        axes.set_ylim(0.0, 95.0 if sweep.of[0] == "max_rotation_error_deg" else None)
     for axes in grid.flat[len(axes_of) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
-        axes.set_ylabel("max rotation\nerror [deg]")
+        axes.set_ylabel(error.text, fontsize=7)
     bottom.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     style.title(figure, sweep.title)
     return figure
 
 
-def correlations(sweep: Sweep, flights: pd.DataFrame, quantity: str) -> dict[str, float]:
-    """Return Spearman's rank correlation of a quantity with the distance of every input from its middle.
+def correlations(sweep: Sweep, flights: pd.DataFrame, error: pd.Series) -> dict[str, float]:
+    """Return Spearman's rank correlation of an error with the distance of every input from its middle.
 
     A bias has effects of either sign, so inputs with a nominal middle count by their distance from it. Flights without
-    the quantity, since they were lost before, are left out.
+    the error, since they were lost before, are left out.
     """
     found = {}
-    known = flights[quantity].notna()
+    known = error.notna()
     for axis in sweep.axes:
         x = flights[axis["name"]]
         middle = (x.max() + x.min()) / 2.0
         size = x if axis["name"] in ("speed", "lag") else (x - middle).abs()
-        found[axis["name"]] = float(size[known].rank().corr(flights.loc[known, quantity].rank()))
+        found[axis["name"]] = float(size[known].rank().corr(error[known].rank()))
     return found
 
 
@@ -59,13 +62,11 @@ def _correlations(figure: FigureBase, sweep: Sweep, flights: pd.DataFrame) -> No
     axes = figure.subplots()
     labels = [axis["label"] for axis in sweep.axes]
     place = np.arange(len(labels))
-    pairs = (
-        ("max_rotation_error_deg", "rotation error", style.BLUE, -0.18),
-        ("max_com_error", "CoM error", style.ORANGE, 0.18),
-    )
-    for quantity, name, colour, offset in pairs:
-        values = list(correlations(sweep, flights, quantity).values())
-        axes.barh(place + offset, values, 0.34, color=colour, label=name)
+    for number, (of, (colour, *_)) in enumerate(zip(sweep.of, SERIES, strict=False)):
+        seen, width = shown_figure(of, flights), 0.72 / len(sweep.of)
+        values = list(correlations(sweep, flights, seen.values).values())
+        offset = (number - (len(sweep.of) - 1) / 2.0) * width
+        axes.barh(place + offset, values, 0.95 * width, color=colour, label=seen.label.removeprefix("max "))
     axes.set_yticks(place, labels)
     axes.invert_yaxis()
     axes.axvline(0.0, color=style.BLACK, linewidth=0.6)

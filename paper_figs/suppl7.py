@@ -5,20 +5,20 @@ a–c TEST1    d–f TEST2    g–i TEST3    j robustness: simulator's minus con
 
 from __future__ import annotations
 
+import xarray as xr
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
-from paper_figs.runs import Run
 
 
-def draw(*runs: Run) -> Figure:
+def draw(*runs: xr.Dataset) -> Figure:
     """Draw the figure from four runs, in panels a to c, d to f, g to i, and j."""
     figure = style.figure(9.6)
     *tests, lower = figure.subfigures(4, 1, squeeze=False)[:, 0]
     for part, run, letters in zip(tests, runs[:3], ("abc", "def", "ghi"), strict=True):
         panels.row(part, run, letters)
     panels.row(lower, runs[3], "j", control=True, last=panels.aero_force_difference)
-    end = max(float(run.data["time"][-1]) for run in runs)
+    end = max(float(run["time"][-1]) for run in runs)
     for axes in figure.axes:
         axes.set_xlim(0.0, end)
     return figure

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from jax_aero.base import documents
+from jax_aero.base import documents, quantities
 from jax_aero.base.files import read_json
 from jax_aero.base.parquet import read_table
+from jax_aero.base.quantities import Shown
 from jax_aero.base.terminal import Refused
 from paper_figs.runs import MissingRun, NotDrawn
 
@@ -23,6 +25,8 @@ class Sweep:
     name: str
     document: dict[str, Any]
     folder: Path
+    of: tuple[str, ...] = field(default=("max_rotation_error_deg", "max_com_error"), kw_only=True)
+    """Figures of merit that are drawn, by their columns."""
 
     @cached_property
     def cells(self) -> pd.DataFrame:
@@ -86,13 +90,14 @@ def is_finished(folder: Path) -> bool:
     return (folder / "cells.parquet").is_file()
 
 
-def load(results: Path, name: str) -> Sweep:
-    """Read the sweep of this name."""
+def load(results: Path, name: str, of: Sequence[str] = ()) -> Sweep:
+    """Read the sweep of this name, and draw these figures of merit, or the usual ones."""
     folder = results / name
     if not is_finished(folder):
         raise MissingRun(f"no finished sweep `{name}`; fly it with: jax-aero sweep {name}")
     try:
-        return Sweep(name, read_json(folder / "sweep.json", documents.DrawnSweep), folder)
+        document = read_json(folder / "sweep.json", documents.DrawnSweep)
+        return Sweep(name, document, folder, of=tuple(of)) if of else Sweep(name, document, folder)
     except Refused as reason:
         raise MissingRun(f"{reason}; --overwrite flies it again") from reason
 
@@ -102,6 +107,12 @@ def _read(path: Path) -> pd.DataFrame:
         return read_table(path).to_pandas(use_threads=False)
     except Refused as reason:
         raise MissingRun(f"{reason}; --overwrite flies it again") from reason
+
+
+def shown_figure(column: str, table: pd.DataFrame, quantile: str = "") -> Shown:
+    """Return a figure of merit of flights as it is shown, or a quantile of it from a table of cells."""
+    name = f"{column.removeprefix('max_')}_{quantile}" if quantile else column
+    return quantities.shown(quantities.COLUMNS[column], table[name])
 
 
 def axis_label(axis: dict[str, Any]) -> str:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import xarray as xr
 from matplotlib.figure import Figure
 
+from jax_aero.base import flights
 from paper_figs import panels, style
-from paper_figs.runs import Run
 
 
-def draw(run: Run) -> Figure:
+def draw(run: xr.Dataset) -> Figure:
     """Draw one flight that starts and ends on the ground."""
-    flown = run.log_to_loss
+    flown = flights.until_loss(run)
     time, airborne = flown["time"], flown["feet_carry"].values == 0.0
     figure = style.figure(6.4)
     grid = figure.subplots(4, 1, sharex=True)
@@ -25,17 +26,15 @@ def draw(run: Run) -> Figure:
     load_.set_ylabel("load [N]")
     load_.set_ylim(0.0, 1.3 * float(jets.max()))  # excludes the spike of one tick at the landing
     panels.thrusts(thrust, run)
-    attitude.plot(time, run.rotation_error_deg(), color=style.BLUE)
-    attitude.set_ylabel("rotation error [deg]")
+    panels.line(attitude, flown["rotation_error"], color=style.BLUE)
     attitude.set_ylim(bottom=0.0)
     attitude.set_xlabel("time [s]")
     for axes in grid:
         axes.fill_between(
             time, 0.0, 1.0, where=airborne, transform=axes.get_xaxis_transform(), color=style.GREY, alpha=0.12
         )
-        if run.lost_time is not None:
-            style.mark_fall(axes, run.lost_time, run.ending)
+        panels.mark_loss(axes, run)
     for axes in (height, load_, thrust):
         style.legend(axes, loc="upper right", ncols=4)
-    height.set_xlim(0.0, float(run.data["time"][-1]))
+    height.set_xlim(0.0, float(run["time"][-1]))
     return figure

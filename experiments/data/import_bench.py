@@ -18,9 +18,10 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.data.import_cfd import OUT, git_show, read_table
 from jax_aero.aero.dataset import Floats
+from jax_aero.base.files import write_netcdf
 from jax_aero.base.netcdf import open_dataset
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
@@ -70,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         out = given.out or OUT / f"bench_{source.stem}.nc"
         digest = hashlib.sha256(text.encode()).hexdigest()
         variables = {name: (("row",), getattr(bench, name), {"units": UNITS.get(name, "s")}) for name in SIGNALS}
-        record.write_dataset(xr.Dataset(variables, attrs={"source": source.name, "sha256": digest}), out)
+        write_netcdf(out, xr.Dataset(variables, attrs={"source": source.name, "sha256": digest}))
         print(f"{out}: {len(bench.time)} rows, {', '.join(measured(bench))}; sha256 of the log {digest}")
 
     return exit_status(work)

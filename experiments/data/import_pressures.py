@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.data import tunnel
 from experiments.data.import_cfd import OUT
 from experiments.data.import_tunnel import files_by_test, folders, known_tests
 from jax_aero.aero.dataset import Floats, number
 from jax_aero.base import places, tables
-from jax_aero.base.files import read_bytes
+from jax_aero.base.files import read_bytes, write_netcdf
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def work() -> None:
         for robot, data in from_clone(given.clone):
             path = given.out / f"pressures_{robot}.nc"
-            record.write_dataset(data, path)
+            write_netcdf(path, data)
             print(summary(data), path, sep="\n")
 
     return exit_status(work)

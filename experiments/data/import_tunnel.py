@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.data import tunnel
 from experiments.data.import_cfd import OUT, POSTURES, known_postures, read_table
 from experiments.data.tunnel import Points, Test
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import axes_of, link_frames
 from jax_aero.base import places, tables
-from jax_aero.base.files import read_bytes
+from jax_aero.base.files import read_bytes, write_netcdf
 from jax_aero.base.places import ROBOT
 from jax_aero.base.terminal import exit_status
 from jax_aero.body.robot import load_robot
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for points in found:
             data = reduce_moments(points, given.side)
             path = out / f"tunnel_{points.robot}.nc"
-            record.write_dataset(data, path)
+            write_netcdf(path, data)
             print(summary(data), path, sep="\n")
         if given.clone:
             print(sweeps_text(gravity_sweeps(given.clone)))

@@ -8,26 +8,16 @@ from typing import NamedTuple, TypeAlias
 
 import pyarrow as pa
 
-from jax_aero import rust
+from jax_aero.base import quantities
 from jax_aero.base.result import Outcome
 
 PAGE = "reference/columns.md"
 
 OUTCOMES: tuple[str, ...] = typing.get_args(Outcome)
 
-SUMMARY = {
-    f"{name}_deg" if figure.unit == "rad" else name: name
-    for name, figure in rust.figures().items()
-    if not figure.is_of_ground
-}
-"""Figures of merit of a flight that are stored in the tables, by column; angles are in degrees there."""
-
 QUANTITIES = {
-    "rotation_error_deg": "max_rotation_error_deg",
-    "com_error": "max_com_error",
-    "joint_error_sum_deg": "max_joint_error_sum_deg",
-    **{name: name for name in ("thrust_max", "thrust_min", "lost_time", "nominal_until", "warning_time")},
-    "time_above_45_deg": "time_above_45_deg",
+    name.removeprefix("max_"): name
+    for name in ("lost_time", *(column for column, figure in quantities.COLUMNS.items() if not figure.codes))
 }
 """Columns of the table of flights whose quantiles that of cells has, by their names there."""
 
@@ -70,10 +60,7 @@ FLIGHT: Columns = {
     "lost_time": Column(NUMBER, "s", "when it was lost"),
     "lost_reason": Column(TEXT, "", "criterion of the loss"),
     "error": Column(TEXT, "", "why it could not be flown"),
-} | {
-    column: Column(NUMBER, rust.figures()[name].unit if column == name else "deg", rust.figures()[name].meaning)
-    for column, name in SUMMARY.items()
-}
+} | {column: Column(NUMBER, figure.unit, figure.meaning) for column, figure in quantities.COLUMNS.items()}
 FLIGHTS: Columns = {**PLACE, **DRAWN, **FLIGHT}
 """The table of flights; the axes stand between their place and what was flown."""
 

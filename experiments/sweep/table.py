@@ -8,7 +8,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -22,6 +21,7 @@ from experiments.sweep import columns
 from experiments.sweep.intervals import wilson
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust
+from jax_aero.base import quantities
 from jax_aero.base.keys import get, set_key
 from jax_aero.base.result import LOST, UPRIGHT, FlightResult
 
@@ -75,15 +75,9 @@ def rows(
         else:
             record |= {"outcome": flown.outcome, "lost_time": flown.lost_time, "lost_reason": flown.lost_reason}
             unknown = OF_GUARD if spec.engine == "jax" else ()
-            record |= {name: value for name, value in in_columns(flown.summary).items() if name not in unknown}
+            record |= {name: x for name, x in quantities.in_columns(flown.summary).items() if name not in unknown}
         records.append(record)
     return pa.Table.from_pylist(records, schema(spec, levels))
-
-
-def in_columns(summary: Mapping[str, float]) -> dict[str, float]:
-    """Return the figures of merit of a flight as the columns have them."""
-    known = {column: summary[name] for column, name in columns.SUMMARY.items() if name in summary}
-    return {column: value if column in rust.figures() else math.degrees(value) for column, value in known.items()}
 
 
 def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
@@ -110,8 +104,10 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     if trials and np.isnan(flights["degraded_time"]).all():
         record |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
     for name, column in columns.QUANTITIES.items():
-        for end, share in columns.QUANTILES.items():
-            record[f"{name}_{end}"] = quantile(flights[column].astype(float), share)
+        values = flights[column].astype(float)
+        known, shares = values[np.isfinite(values)], list(columns.QUANTILES.values())
+        ends = np.quantile(known, shares).tolist() if len(known) else [None] * len(shares)
+        record |= {f"{name}_{end}": value for end, value in zip(columns.QUANTILES, ends, strict=True)}
     return record
 
 

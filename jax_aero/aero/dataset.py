@@ -285,9 +285,7 @@ def save(dataset: Dataset, path: str | PathLike[str]) -> None:
     facts: dict[str, str | float] = {"format": FORMAT, "sha256": dataset.sha256}
     facts |= {f"provenance: {key}": value for key, value in dataset.provenance.items()}
     facts |= {f"check: {key}": float(value) for key, value in dataset.checks.items()}
-    packed = {"zlib": True, "complevel": 1, "shuffle": True}
-    table = xr.Dataset(variables, coords, facts)
-    write_netcdf(target, table, dict.fromkeys(variables, packed))
+    write_netcdf(target, xr.Dataset(variables, coords, facts))
 
 
 def load(path: str | PathLike[str], links: Sequence[str] = LINKS) -> Dataset:

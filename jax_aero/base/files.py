@@ -309,6 +309,12 @@ def replace_infinite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def write_netcdf(path: Path, dataset: Any, encoding: Any = None) -> None:
-    """Write an xarray dataset as NetCDF-4. HDF5 works in memory, since it aborts the process if a disk is full."""
+def write_netcdf(path: Path, dataset: Any) -> None:
+    """Write an xarray dataset as NetCDF-4, compressed losslessly.
+
+    HDF5 works in memory, since it aborts the process if a disk is full. By CF no coordinate has a fill value.
+    """
+    packed = {"zlib": True, "complevel": 1, "shuffle": True}
+    encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.dims}
+    encoding |= {name: {"_FillValue": None} for name, variable in dataset.coords.items() if variable.dtype.kind == "f"}
     write_bytes(path, dataset.to_netcdf(engine="h5netcdf", encoding=encoding))

@@ -15,6 +15,7 @@ import xarray as xr
 
 from jax_aero import rust
 from jax_aero.base import netcdf
+from jax_aero.base.quantities import attributes_of
 from jax_aero.base.result import REPEATED
 from jax_aero.base.terminal import Refused
 
@@ -45,20 +46,17 @@ def read(path: Path) -> xr.Dataset:
 
 
 def _complete(found: xr.Dataset) -> xr.Dataset:
-    """Return the dataset of a file with the raw measurements that it left out, see `result.is_repeated`.
+    """Return the dataset of a file, its signals as they are declared today.
 
-    A file of an older version has no raw measurement.
+    Raw measurements that it left out are there, see `result.is_repeated`; a file of an older version has none.
     """
-    if "raw_base_rotation" not in found:
-        return found
-    known: dict[str, Any] = {raw: found[name] for raw, name in REPEATED.items() if name in found}
-    if "thrust" in found:
-        known["raw_shaft_speed"] = xr.full_like(found["thrust"], np.nan)
-    declared = rust.signals()
-    return found.assign(
-        {
-            name: values.assign_attrs(units=declared[name].unit, long_name=declared[name].meaning)
-            for name, values in known.items()
-            if name not in found
-        }
-    )
+    if "raw_base_rotation" in found:
+        left_out: dict[str, Any] = {raw: found[name] for raw, name in REPEATED.items() if name in found}
+        if "thrust" in found:
+            left_out["raw_shaft_speed"] = xr.full_like(found["thrust"], np.nan)
+        found = found.assign({name: values for name, values in left_out.items() if name not in found})
+    if "rotation_error" in found:
+        for name, signal in rust.signals().items():
+            if name in found.variables:
+                found[name].attrs.update(attributes_of(signal))
+    return found

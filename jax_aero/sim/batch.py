@@ -26,7 +26,7 @@ from jax_aero.config import ScenarioConfig
 from jax_aero.sim.outcome import FLYING
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.preparation import prepare, read_config
-from jax_aero.sim.rollout import CHUNK, Ending, make_result
+from jax_aero.sim.rollout import CHUNK, Ending, in_order, make_result
 from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.step import FlightState, step
 from jax_aero.types import Array
@@ -222,7 +222,9 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
         if not np.any(np.asarray(state.loss) == FLYING):
             break
     losses, sizes, ticks, postures = jax.device_get((state.loss, state.loss_size, state.loss_tick, state.posture))
-    signals = {name: np.concatenate([chunk[name] for chunk in kept], axis=1, dtype=np.float64) for name in kept[0]}
+    signals = {
+        name: np.concatenate([chunk[name] for chunk in kept], axis=1, dtype=np.float64) for name in in_order(kept[0])
+    }
     flights = []
     for row in range(len(group.places)):
         own = {name: signal[row] for name, signal in signals.items()}
@@ -243,8 +245,7 @@ def _compile_chunk(
 
         def fly_tick(state: FlightState, tick: Array) -> tuple[FlightState, dict[str, Array]]:
             state, row = step(scenario, state, tick)
-            signals = row._asdict()
-            return state, signals if full_log else condense(signals, state.posture)
+            return state, row if full_log else condense(row, state.posture)
 
         return jax.lax.scan(fly_tick, state, first + jnp.arange(CHUNK, dtype=jnp.int32))
 

@@ -126,12 +126,14 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
             progress(min(first + together, n_ticks), n_ticks)
         if int(state.loss) != FLYING:
             break
-    log = {
-        name: np.concatenate([np.asarray(getattr(chunk, name), np.float64) for chunk in rows])
-        for name in FlightRow._fields
-    }
+    log = {name: np.concatenate([chunk[name] for chunk in rows], dtype=np.float64) for name in in_order(rows[0])}
     ending = Ending(int(state.loss), float(state.loss_size), int(state.loss_tick))
     return make_result(log, np.asarray(state.posture, np.float64), ending, n_ticks)
+
+
+def in_order(row: FlightRow) -> list[str]:
+    """Return the names of a row as the crate declares them; JAX sorts those of a dict."""
+    return [name for name in rust.signals() if name in row]
 
 
 class Ending(NamedTuple):

@@ -2,68 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jax_aero import rust
 from jax_aero.body.spatial import rpy_from_rotation, wxyz_from_rotation
 from jax_aero.control import Command, Measurement
 from jax_aero.sim.plant import Observation, PlantState
 from jax_aero.types import Array
 
+FlightRow: TypeAlias = dict[str, Array]
+"""One tick of the log: the signals that `rust.signals` declares, in its order, but for those of the ground.
 
-class FlightRow(NamedTuple):
-    """One tick of the log, with the signals and names of the Rust crate.
-
-    Signals that a controller does not compute are NaN, as is everything that follows from a state that is not finite.
-    Of what the crate's guard finds, the condition of joints is that of healthy ones, and latencies are not known.
-    """
-
-    time: Float[Array, ""]
-    base_position: Float[Array, "3"]
-    base_quaternion: Float[Array, "4"]
-    base_velocity: Float[Array, "6"]
-    base_rpy_setpoint: Float[Array, "3"]
-    joint_position: Float[Array, " n"]
-    joint_velocity: Float[Array, " n"]
-    com_position: Float[Array, "3"]
-    com_velocity: Float[Array, "3"]
-    com_setpoint: Float[Array, "3"]
-    rotation_error: Float[Array, ""]
-    thrust: Float[Array, " j"]
-    thrust_rate: Float[Array, " j"]
-    joint_velocity_command: Float[Array, " n"]
-    joint_torque: Float[Array, " n"]
-    wind: Float[Array, "3"]
-    aero_force_sim: Float[Array, "L 3"]
-    aero_force_control: Float[Array, "L 3"]
-    momentum: Float[Array, "6"]
-    momentum_setpoint: Float[Array, "6"]
-    momentum_rate_estimate: Float[Array, "6"]
-    unmodelled_wrench: Float[Array, "6"]
-    measured_base_position: Float[Array, "3"]
-    measured_base_quaternion: Float[Array, "4"]
-    measured_base_velocity: Float[Array, "6"]
-    measured_joint_velocity: Float[Array, " n"]
-    measured_thrust: Float[Array, " j"]
-    measured_wind: Float[Array, "3"]
-    measured_wind_std: Float[Array, "3"]
-    raw_base_position: Float[Array, "3"]
-    raw_base_rotation: Float[Array, "3 3"]
-    raw_base_velocity: Float[Array, "6"]
-    raw_joint_position: Float[Array, " n"]
-    raw_joint_velocity: Float[Array, " n"]
-    raw_thrust: Float[Array, " j"]
-    raw_shaft_speed: Float[Array, " j"]
-    raw_wind: Float[Array, "3"]
-    qp_status: Float[Array, "2"]
-    qp_kkt: Float[Array, "2"]
-    qp_iterations: Float[Array, "2"]
-    degraded_modes: Float[Array, ""]
-    joint_condition: Float[Array, " n"]
-    measured_torque_latency: Float[Array, ""]
-    measured_thrust_latency: Float[Array, ""]
+Signals that a controller does not compute are NaN, as is everything that follows from a state that is not finite.
+Of what the crate's guard finds, the condition of joints is that of healthy ones, and latencies are not known.
+"""
 
 
 class Tick(NamedTuple):
@@ -87,73 +42,77 @@ def record(tick: Tick) -> FlightRow:
     robot, momentum, mass = state.robot, seen.dynamics.momentum, seen.dynamics.mass_matrix[0, 0]
     setpoint, terms = command.setpoint, command.terms
     estimates, wind_std = (raw, jnp.zeros_like(wind)) if terms is None else (terms.estimates, terms.wind_std)
-    answers = (command.momentum_qp, command.torque_qp)
-
-    def unknown(like: Array) -> Array:
-        return jnp.full_like(like, jnp.nan)
-
-    def stack_answers(name: str, dtype: Any) -> Array:
-        values = [jnp.nan if answer is None else getattr(answer, name) for answer in answers]
-        return jnp.stack([jnp.asarray(value, dtype) for value in values])
-
-    return FlightRow(
-        time=time,
-        base_position=robot.base_position,
-        base_quaternion=wxyz_from_rotation(robot.base_rotation),
-        base_velocity=robot.velocity[:6],
-        base_rpy_setpoint=unknown(wind) if setpoint is None else rpy_from_rotation(setpoint.rotation),
-        joint_position=robot.joint_position,
-        joint_velocity=robot.velocity[6:],
-        com_position=seen.kinematics.com,
-        com_velocity=momentum[:3] / mass,
-        com_setpoint=unknown(wind) if setpoint is None else setpoint.com_position,
-        rotation_error=rotation_error,
-        thrust=state.jets.thrust,
-        thrust_rate=command.thrust_rate,
-        joint_velocity_command=(
-            unknown(command.joint_torque) if command.joint_velocity is None else command.joint_velocity
-        ),
-        joint_torque=command.joint_torque,
-        wind=wind,
-        aero_force_sim=seen.link_forces.forces,
-        aero_force_control=unknown(seen.link_forces.forces) if terms is None else terms.link_forces.forces,
-        momentum=momentum,
-        momentum_setpoint=(
-            unknown(momentum)
-            if setpoint is None or terms is None
-            else jnp.pad(terms.dynamics.mass_matrix[0, 0] * setpoint.com_velocity, (0, 3))
-        ),
-        momentum_rate_estimate=unknown(momentum) if terms is None else terms.momentum.rate_estimate,
-        unmodelled_wrench=unknown(momentum) if terms is None else terms.momentum.unmodelled_wrench,
-        measured_base_position=estimates.state.base_position,
-        measured_base_quaternion=wxyz_from_rotation(estimates.state.base_rotation),
-        measured_base_velocity=estimates.state.velocity[:6],
-        measured_joint_velocity=estimates.state.velocity[6:],
-        measured_thrust=estimates.thrust,
-        measured_wind=estimates.wind,
-        measured_wind_std=wind_std,
-        raw_base_position=raw.state.base_position,
-        raw_base_rotation=raw.state.base_rotation,
-        raw_base_velocity=raw.state.velocity[:6],
-        raw_joint_position=raw.state.joint_position,
-        raw_joint_velocity=raw.state.velocity[6:],
-        raw_thrust=raw.thrust,
-        raw_shaft_speed=unknown(raw.thrust),
-        raw_wind=raw.wind,
-        qp_status=stack_answers("status", time.dtype),
-        qp_kkt=stack_answers("kkt", time.dtype),
-        qp_iterations=stack_answers("iterations", time.dtype),
-        degraded_modes=jnp.asarray(jnp.nan if command.degraded_modes is None else command.degraded_modes, time.dtype),
-        joint_condition=jnp.full_like(command.joint_torque, jnp.nan if terms is None else 0.0),
-        measured_torque_latency=unknown(time),
-        measured_thrust_latency=unknown(time),
-    )
+    row = {
+        "time": time,
+        "base_position": robot.base_position,
+        "base_quaternion": wxyz_from_rotation(robot.base_rotation),
+        "base_velocity": robot.velocity[:6],
+        "joint_position": robot.joint_position,
+        "joint_velocity": robot.velocity[6:],
+        "com_position": seen.kinematics.com,
+        "com_velocity": momentum[:3] / mass,
+        "rotation_error": rotation_error,
+        "thrust": state.jets.thrust,
+        "thrust_rate": command.thrust_rate,
+        "joint_torque": command.joint_torque,
+        "wind": wind,
+        "aero_force_sim": seen.link_forces.forces,
+        "momentum": momentum,
+        "measured_base_position": estimates.state.base_position,
+        "measured_base_quaternion": wxyz_from_rotation(estimates.state.base_rotation),
+        "measured_base_velocity": estimates.state.velocity[:6],
+        "measured_joint_velocity": estimates.state.velocity[6:],
+        "measured_thrust": estimates.thrust,
+        "measured_wind": estimates.wind,
+        "measured_wind_std": wind_std,
+        "raw_base_position": raw.state.base_position,
+        "raw_base_rotation": raw.state.base_rotation,
+        "raw_base_velocity": raw.state.velocity[:6],
+        "raw_joint_position": raw.state.joint_position,
+        "raw_joint_velocity": raw.state.velocity[6:],
+        "raw_thrust": raw.thrust,
+        "raw_wind": raw.wind,
+    }
+    for name in ("status", "kkt", "iterations"):
+        answers = [getattr(answer, name, jnp.nan) for answer in (command.momentum_qp, command.torque_qp)]
+        row[f"qp_{name}"] = jnp.stack([jnp.asarray(answer, time.dtype) for answer in answers])
+    if command.joint_velocity is not None:
+        row["joint_velocity_command"] = command.joint_velocity
+    if command.degraded_modes is not None:
+        row["degraded_modes"] = jnp.asarray(command.degraded_modes, time.dtype)
+    if setpoint is not None:
+        row["base_rpy_setpoint"] = rpy_from_rotation(setpoint.rotation)
+        row["com_setpoint"] = setpoint.com_position
+    if terms is not None:
+        row["aero_force_control"] = terms.link_forces.forces
+        row["momentum_rate_estimate"] = terms.momentum.rate_estimate
+        row["unmodelled_wrench"] = terms.momentum.unmodelled_wrench
+        row["joint_condition"] = jnp.zeros_like(command.joint_torque)
+    if setpoint is not None and terms is not None:
+        row["momentum_setpoint"] = jnp.pad(terms.dynamics.mass_matrix[0, 0] * setpoint.com_velocity, (0, 3))
+    sizes = {
+        "xyz": 3,
+        "base_axis": 3,
+        "rpy": 3,
+        "wxyz": 4,
+        "six": 6,
+        "qp": 2,
+        "joint": robot.joint_position.size,
+        "jet": state.jets.thrust.size,
+        "link": len(seen.link_forces.forces),
+    }
+    shapes = {
+        name: tuple(sizes[dim] for dim in signal.dims[1:])
+        for name, signal in rust.signals().items()
+        if signal.dims[0] == "time" and not signal.is_of_ground
+    }
+    return {name: row[name] if name in row else jnp.full(shape, jnp.nan, time.dtype) for name, shape in shapes.items()}
 
 
 def record_divergence(time: Float[Array, ""], wind: Float[Array, "3"], state: PlantState, row: FlightRow) -> FlightRow:
     """Return the row of a tick whose state is not sound: of it, only what was integrated; all else is NaN."""
     robot = state.robot
-    known = {
+    return {name: jnp.full_like(signal, jnp.nan) for name, signal in row.items()} | {
         "time": time,
         "wind": wind,
         "base_position": robot.base_position,
@@ -162,4 +121,3 @@ def record_divergence(time: Float[Array, ""], wind: Float[Array, "3"], state: Pl
         "joint_velocity": robot.velocity[6:],
         "thrust": state.jets.thrust,
     }
-    return FlightRow(*(jnp.full_like(signal, jnp.nan) for signal in row))._replace(**known)

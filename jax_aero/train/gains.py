@@ -187,7 +187,7 @@ def log_cost(scenario: Scenario, state: FlightState, cost: Cost, n_ticks: int) -
     """Return log c of one flight."""
 
     def errors(row: FlightRow) -> tuple[Array, Array, Array]:
-        return row.com_position - row.com_setpoint, row.rotation_error, row.thrust_rate
+        return row["com_position"] - row["com_setpoint"], row["rotation_error"], row["thrust_rate"]
 
     after, (position, rotation, rate) = rollout(scenario, state, n_ticks, errors)
     squares = (

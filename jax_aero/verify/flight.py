@@ -201,7 +201,7 @@ def fly_section(scenario: Scenario, start: FlightState, first: Any, given: Logge
 def join(crate: FlightResult, sections: Sequence[Section]) -> FlightResult:
     """Return the flight of these sections, which has the ticks of the crate's."""
     last = len(crate["time"]) - 1
-    after, rows = sections[-1].after, [section.rows._asdict() for section in sections]
+    after, rows = sections[-1].after, [section.rows for section in sections]
     ending = Ending(int(after.loss), float(after.loss_size), int(after.loss_tick))
     signals = {name: np.concatenate([row[name] for row in rows]).astype(np.float64)[: last + 1] for name in rows[0]}
     return make_result(signals, np.asarray(after.posture), ending, last)
@@ -221,14 +221,14 @@ def _fly(
 
         state, row = step(scenario, state, tick, hand)
         # The state is that to which JAX's own last tick led.
-        return state, row._replace(
-            base_position=found.robot.base_position,
-            base_quaternion=wxyz_from_rotation(found.robot.base_rotation),
-            base_velocity=found.robot.velocity[:6],
-            joint_position=found.robot.joint_position,
-            joint_velocity=found.robot.velocity[6:],
-            thrust=found.jets.thrust,
-        )
+        return state, row | {
+            "base_position": found.robot.base_position,
+            "base_quaternion": wxyz_from_rotation(found.robot.base_rotation),
+            "base_velocity": found.robot.velocity[:6],
+            "joint_position": found.robot.joint_position,
+            "joint_velocity": found.robot.velocity[6:],
+            "thrust": found.jets.thrust,
+        }
 
     ticks = first + jnp.arange(given.thrust.shape[0], dtype=jnp.int32)
     return jax.lax.scan(fly_tick, start, (ticks, given))

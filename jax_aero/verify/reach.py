@@ -81,7 +81,7 @@ def changes(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
 def is_another(changed: Scenario, section: Section) -> bool:
     """Return whether a section of a flight is another one in a changed scenario."""
     again = fly_section(changed, *section[:4])
-    return int(again.after.loss) != int(section.after.loss) or differ(again.rows._asdict(), section.rows._asdict())
+    return int(again.after.loss) != int(section.after.loss) or differ(again.rows, section.rows)
 
 
 def differ(ours: Mapping[str, Any], expected: Mapping[str, Any]) -> bool:

@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from jax_aero import rust
+from jax_aero.base.quantities import shown
 from jax_aero.base.result import UPRIGHT
 from jax_aero.body.urdf import Vector
 from jax_aero.view import drawing
 from jax_aero.view.drawing import Colour, Scales
-from jax_aero.view.recording import Recording
+from jax_aero.view.recording import Instant, Recording
+
+SIGNALS = rust.signals()
 
 INK: Colour = (32, 36, 44)
 SOFT: Colour = (88, 94, 104)
@@ -51,8 +55,8 @@ def letter_video(
         below += int(1.5 * size)
     text(draw, (margin, below), f"{time:.1f} s", size, SOFT)
     lines = [
-        f"wind {np.linalg.norm(now.wind):.1f} m/s",
-        f"rotation error {np.rad2deg(now.rotation_error):.0f}°",
+        shown(SIGNALS["wind"], np.linalg.norm(now.wind)).said(".1f"),
+        rotation_error(now),
         f"off course {np.linalg.norm(now.com - now.com_setpoint):.2f} m",
         f"speed {np.linalg.norm(now.com_velocity):.1f} m/s",
         f"height {now.com[2]:.1f} m",
@@ -100,8 +104,7 @@ def letter_row(
         if time >= flight.duration:
             badge(draw, (middle, upper), flight, int(0.9 * letters), "mm", _outcome(flight))
         else:
-            error = np.rad2deg(flight.at(time).rotation_error)
-            text(draw, (middle, upper), f"rotation error {error:.0f}°", letters, INK, "mm")
+            text(draw, (middle, upper), rotation_error(flight.at(time)), letters, INK, "mm")
         if number:
             draw.rectangle((number * panel - 1, 0, number * panel, bands[0] + height), fill=PAPER)
     wind = max(np.linalg.norm(flight.at(time).wind) for flight in flights)
@@ -111,6 +114,11 @@ def letter_row(
     text(draw, (right + letters // 2, lower), "1 m", letters, INK, "lm")
     _bar(draw, joined.size, time / end)
     return np.asarray(joined)
+
+
+def rotation_error(now: Instant) -> str:
+    """Return the rotation error in words."""
+    return shown(SIGNALS["rotation_error"], now.rotation_error).said(".0f")
 
 
 def _outcome(flight: Recording) -> str:

@@ -286,9 +286,8 @@ def _strip(
     draw = ImageDraw.Draw(sheet, "RGBA")
     labels.text(draw, (letters, 0.5 * letters), recording.title, int(1.3 * letters), labels.INK)
     labels.badge(draw, (width - int(1.2 * letters), int(1.4 * letters)), recording, letters, "rm")
-    errors = [np.rad2deg(recording.at(time).rotation_error) for time in times]
     captions = [
-        f"{i}    {t:.1f} s    rotation error {e:.0f}°" for i, (t, e) in enumerate(zip(times, errors, strict=True), 1)
+        f"{i}    {time:.1f} s    {labels.rotation_error(recording.at(time))}" for i, time in enumerate(times, 1)
     ]
     margin = 0.7 * letters
     longest = max(labels.font(letters).getlength(words) for words in captions)

@@ -80,7 +80,12 @@ def problem(x64, tmp_path_factory):
         state = begin(perturbed, start.plant._replace(robot=first))
 
         def errors(row):
-            return row.com_position - row.com_setpoint, row.rotation_error, row.thrust - 100.0, row.qp_status
+            return (
+                row["com_position"] - row["com_setpoint"],
+                row["rotation_error"],
+                row["thrust"] - 100.0,
+                row["qp_status"],
+            )
 
         after, (com, angle, thrust, status) = rollout(perturbed, state, TICKS, errors)
         flies = (after.loss_tick < 0) | (jnp.arange(TICKS) < after.loss_tick)

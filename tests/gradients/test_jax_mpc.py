@@ -77,7 +77,7 @@ def test_slopes_of_a_flight(measured):
         changed = dataclasses.replace(scenario.controller, mpc=weighted(mpc, p))
 
         def errors(row):
-            return row.com_position - row.com_setpoint, row.rotation_error
+            return row["com_position"] - row["com_setpoint"], row["rotation_error"]
 
         _, (com, angle) = rollout(dataclasses.replace(scenario, controller=changed), state, TICKS, errors)
         return 1e4 * jnp.sum(com**2) + 1e4 * jnp.sum(angle**2)

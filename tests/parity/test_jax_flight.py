@@ -246,8 +246,10 @@ def test_both_kinds_of_dynamics_fly_the_same():
         scenario, start = sim.prepare(table, controller=Damper())
         assert scenario.plant.backend == dynamics
         rows = jax.jit(lambda scenario, start: sim.rollout(scenario, start, 20, sim.keep_row)[1])(scenario, start)
-        np.testing.assert_allclose(rows.time, np.arange(20) * float(scenario.plant.time_step), rtol=1e-15)
-        heights[dynamics] = np.concatenate([rows.base_position, rows.base_velocity, rows.joint_position], axis=1)
+        np.testing.assert_allclose(rows["time"], np.arange(20) * float(scenario.plant.time_step), rtol=1e-15)
+        heights[dynamics] = np.concatenate(
+            [rows["base_position"], rows["base_velocity"], rows["joint_position"]], axis=1
+        )
     apart = np.abs(heights["tree"] - heights["mjx"]).max(axis=1)
     assert apart[1] < 1e-11
     assert apart.max() < 1e-8

@@ -7,6 +7,7 @@ from experiments import Refused, record
 from experiments.studies.along import study as along
 from jax_aero import rust
 from jax_aero.base import places, tables
+from jax_aero.base.files import write_netcdf
 from jax_aero.base.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.trajectory import Consumption
@@ -81,7 +82,7 @@ def test_the_figure_shows_flights(study, tmp_path):
     study.attrs["config_hash"] = "0"
     folder = tmp_path / "along" / "flights"
     folder.mkdir(parents=True)
-    record.write_dataset(study, folder / "run.nc")
+    write_netcdf(folder / "run.nc", study)
     figure, hashes = FIGURES["along"].draw_from_results(tmp_path / "flight")
     # A cross where the one was lost, none where the other was shorter.
     assert [len(axes.lines) for axes in figure.axes] == [4, 5]
@@ -91,7 +92,7 @@ def test_the_figure_shows_flights(study, tmp_path):
 def test_a_result_of_older_code_is_not_drawn(study, tmp_path):
     folder = tmp_path / "along" / "flights"
     folder.mkdir(parents=True)
-    record.write_dataset(study.drop_vars("lost_time").assign_attrs(config_hash="0"), folder / "run.nc")
+    write_netcdf(folder / "run.nc", study.drop_vars("lost_time").assign_attrs(config_hash="0"))
     with pytest.raises(NotDrawn, match=r"'lost_time': other code made the result; make it again: jax-aero study along"):
         FIGURES["along"].draw_from_results(tmp_path / "flight")
 
@@ -100,7 +101,7 @@ def test_the_flights_themselves_count(make_flight, robot, tmp_path, monkeypatch)
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     path = tmp_path / "flight" / "mine" / "run.nc"
     path.parent.mkdir(parents=True)
-    record.write_dataset(record.to_dataset(make_flight(5.0), robot, title="t", config_digest="0"), path)
+    write_netcdf(path, record.to_dataset(make_flight(5.0), robot, title="t", config_digest="0"))
     assert path in along.compute("flights", along.Along(flights=("mine",))).files
 
 

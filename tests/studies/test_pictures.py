@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import record
 from experiments.data.import_cfd import known_postures
 from experiments.studies.pictures import figure as pictures_figure
 from experiments.studies.pictures import study as pictures
 from jax_aero import rust
 from jax_aero.aero.dataset import reorder_joints
 from jax_aero.base import tables
+from jax_aero.base.files import write_netcdf
 from jax_aero.base.places import ROBOT
 from paper_figs.figures import FIGURES
 
@@ -44,7 +44,7 @@ def made_up_pictures(tmp_path):
     )
     folder = tmp_path / "pictures" / "paper"
     folder.mkdir(parents=True)
-    record.write_dataset(study, folder / "run.nc")
+    write_netcdf(folder / "run.nc", study)
     return names
 
 

@@ -17,7 +17,6 @@ from jax_aero.base import places, plain, tables
 from jax_aero.base.files import lock_work
 from jax_aero.base.places import CONFIGS
 from jax_aero.base.terminal import Refused
-from jax_aero.sim import FlightRow
 from jax_aero.train import gains
 from paper_figs.figures import FIGURES
 
@@ -69,9 +68,8 @@ def spring(scenario, state, n_ticks, keep):
     def one(at, _):
         position, velocity = at
         pull = -gains.c0 * position - gains.ko * velocity
-        row = FlightRow(**dict.fromkeys(FlightRow._fields))._replace(
-            com_position=position, com_setpoint=jnp.zeros(3), rotation_error=0.1 * velocity[0], thrust_rate=pull
-        )
+        row = {"com_position": position, "com_setpoint": jnp.zeros(3), "thrust_rate": pull}
+        row["rotation_error"] = 0.1 * velocity[0]
         return (position + 0.01 * velocity, velocity + 0.01 * pull), keep(row)
 
     _, kept = jax.lax.scan(one, (jnp.array([0.1, 0.0, -0.05]), jnp.zeros(3)), length=n_ticks)

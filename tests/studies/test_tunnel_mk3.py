@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import record
 from experiments.data import fit
 from experiments.data.import_cfd import known_postures
 from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
 from experiments.studies.tunnel_mk3 import study as tunnel_mk3
 from jax_aero.aero.dataset import wind_direction
 from jax_aero.aero.posture import axes_of, link_axes, total_wrench
+from jax_aero.base.files import write_netcdf
 from jax_aero.body.robot import load_robot
 from tests.measurements import measured
 
@@ -59,7 +59,7 @@ def points(robot):
 @pytest.fixture(scope="module")
 def found(points, tmp_path_factory):
     path = tmp_path_factory.mktemp("tunnel") / "tunnel_mk3.nc"
-    record.write_dataset(points, path)
+    write_netcdf(path, points)
     return tunnel_mk3.compute("made", tunnel_mk3.TunnelConfig(tunnel=path)).summary
 
 

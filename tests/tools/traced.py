@@ -102,7 +102,7 @@ def trace_flight() -> None:
         return row
 
     rows = jax.eval_shape(jax.vmap(fly), jax.tree.map(lambda x: np.stack([x, x]), state))
-    assert rows.com_position.shape == (2, 3)
+    assert rows["com_position"].shape == (2, 3)
     problem = qp.BoxQp(jnp.eye(4), jnp.ones(4), -jnp.ones(4), jnp.ones(4))
     jax.eval_shape(jax.grad(lambda problem: qp.solve(problem).x.sum()), problem)
 

@@ -9,6 +9,7 @@ import xarray as xr
 from experiments import backends, record
 from experiments.report.measures.standing import standing as measure
 from jax_aero import rust
+from jax_aero.base.files import write_netcdf
 from jax_aero.mujoco.ground import GroundPlant, begin, fly
 from jax_aero.rust import MODES
 from paper_figs.command import main as draw
@@ -375,7 +376,7 @@ def test_a_run_is_recorded_and_measured(frontal, tmp_path):
     assert dataset["foot_wrench"].dims == ("time", "foot", "six")
     assert dataset["foot"].values.tolist() == ["l_sole", "r_sole"]
     path = tmp_path / "run.nc"
-    record.write_dataset(dataset, path)
+    write_netcdf(path, dataset)
     found = measure(xr.load_dataset(path, engine="h5netcdf"), 1.0, robot.mass, 0)
     assert found["identity"] < 1e-9
     assert found["shift_mm"] > 10.0

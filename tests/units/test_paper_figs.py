@@ -3,6 +3,8 @@ import pytest
 from matplotlib.patches import Rectangle
 from PIL import Image
 
+from jax_aero.base import flights
+from jax_aero.base.quantities import shown_array
 from paper_figs import panels, runs, style
 from paper_figs.command import main
 from paper_figs.figures import FIGURES
@@ -42,8 +44,8 @@ def test_flights_of_any_folder_are_drawn_beside_each_other(made_up_results, tmp_
     words.append(str(made_up_results / "test2"))
     assert main(words) == 0
     assert [path.stem for path in tmp_path.glob("*.png")] == ["compare--test1_published_test2"]
-    assert [runs.load(made_up_results, name).name for name in words[-2:]] == ["test1_published", "test2"]
-    assert runs.load(made_up_results, words[-1], "gain $k_o$").title == "gain $k_o$"
+    assert [runs.load(made_up_results, name).attrs["name"] for name in words[-2:]] == ["test1_published", "test2"]
+    assert runs.load(made_up_results, words[-1], "gain $k_o$").attrs["title"] == "gain $k_o$"
     assert main([*words, "--labels", "gain $k_o$", r"5 $ or $\x"]) == 0
     assert main([*words, "--labels", "one"]) == 2
     assert "compare has 2 runs, not 1 as --labels" in capsys.readouterr().err
@@ -82,27 +84,24 @@ def test_a_figure_for_a_dark_page_has_no_background_and_light_text(tmp_path):
 
 
 def test_a_dollar_in_a_title_is_one(made_up_results):
-    run = runs.load(made_up_results, "test1")
-    dear = runs.Run("dear", run.data.assign_attrs(title=r"$\x$"))
+    dear = runs.load(made_up_results, "test1", r"$\x$")
     figure = style.figure(3.0)
-    panels.title(figure, dear)
+    style.title(figure, dear.attrs["title"])
     figure.canvas.draw()
     assert [runs.escape_text(text) for text in ("$k_o$", r"$\x$", "5 $")] == ["$k_o$", r"\$\x\$", r"5 \$"]
 
 
-def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
+def test_joint_errors_are_summed_by_group_and_shown_in_degrees(made_up_results):
     run = runs.load(made_up_results, "test2")
-    errors = run.joint_error_sum_deg()
+    errors = flights.joint_error_sums(run)
     assert errors["group"].values.tolist() == ["torso", "left_arm", "right_arm", "left_leg", "right_leg"]
-    joints = run.data["joint_position"] - run.data["joint_setpoint"]
-    torso = np.degrees(np.abs(joints.values[:, :3]).sum(axis=1))
+    joints = run["joint_position"] - run["joint_setpoint"]
+    torso = np.abs(joints.values[:, :3]).sum(axis=1)
     np.testing.assert_allclose(errors.sel(group="torso"), torso)
-
-
-def test_a_robot_without_joints_has_no_joint_errors(made_up_results):
-    run = runs.load(made_up_results, "test1")
-    without = runs.Run("without", run.data.isel(joint=[]))
-    assert without.joint_error_sum_deg().shape == (len(without.log_to_loss["time"]), 0)
+    shown = shown_array(errors)
+    np.testing.assert_allclose(shown.values.sel(group="torso"), np.degrees(torso))
+    assert shown.text == "sum of joint errors [deg]"
+    assert flights.joint_error_sums(run.isel(joint=[])).shape == (run.sizes["time"], 0)
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 8])
@@ -111,9 +110,9 @@ def test_every_jet_and_every_group_of_joints_is_drawn(made_up_results, count):
     run = runs.load(made_up_results, "test1")
     names = [f"part_{number}" for number in range(count)]
     parts = {"jet": [number % 4 for number in range(count)], "joint": list(range(count))}
-    data = run.data.isel(parts).assign_coords(jet=names, joint_group=("joint", names))
+    other = run.isel(parts).assign_coords(jet=names, joint_group=("joint", names))
     figure = style.figure(3.0)
-    panels.row(figure, runs.Run("other", data), "abc")
+    panels.row(figure, other, "abc")
     figure.canvas.draw()
     errors, _, thrusts = figure.axes
     for axes in (errors, thrusts):
@@ -124,9 +123,9 @@ def test_every_jet_and_every_group_of_joints_is_drawn(made_up_results, count):
 
 def test_nothing_behind_a_fall_is_shown(made_up_results):
     run = runs.load(made_up_results, "test1_published")
-    assert run.lost_time == 21.5
-    assert run.log_to_loss["time"].values[-1] <= 21.5
-    assert runs.load(made_up_results, "test1").lost_time is None
+    assert flights.lost_time(run) == 21.5
+    assert flights.until_loss(run)["time"].values[-1] <= 21.5
+    assert flights.lost_time(runs.load(made_up_results, "test1")) is None
 
 
 def test_how_a_flight_was_lost_stands_once_in_its_row(made_up_results):

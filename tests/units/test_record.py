@@ -1,5 +1,6 @@
 import dataclasses
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -7,6 +8,7 @@ import xarray as xr
 from experiments import record
 from jax_aero import rust
 from jax_aero.base import places
+from jax_aero.base.files import write_netcdf
 
 
 @pytest.fixture
@@ -16,7 +18,7 @@ def dataset(make_flight, robot):
 
 def test_a_run_reads_back_as_it_was_flown(make_flight, robot, dataset, tmp_path):
     flight = make_flight()
-    record.write_dataset(dataset, tmp_path / "run.nc")
+    write_netcdf(tmp_path / "run.nc", dataset)
     with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as stored:
         for name, values in flight.log.items():
             np.testing.assert_array_equal(stored[name].values, values)
@@ -33,14 +35,27 @@ def test_a_run_reads_back_as_it_was_flown(make_flight, robot, dataset, tmp_path)
         assert stored.attrs["config_hash"] == "f" * 64
 
 
-def test_a_file_has_what_the_crate_declares(dataset):
+def test_a_file_has_what_the_crate_declares(make_flight, dataset):
     declared = {name: signal for name, signal in rust.signals().items() if not signal.is_of_ground}
-    assert dataset.data_vars.keys() | {"time"} == declared.keys()
-    for name, signal in declared.items():
+    figures = {name: rust.figures()[name] for name in make_flight().summary}
+    assert dataset.data_vars.keys() | {"time"} == declared.keys() | figures.keys()
+    for name, signal in {**declared, **figures}.items():
         variable = dataset[name]
         assert variable.dims == signal.dims, name
         assert (variable.attrs["units"], variable.attrs["long_name"]) == (signal.unit, signal.meaning)
-        assert np.issubdtype(variable.dtype, np.integer) == signal.is_integer, name
+        assert np.issubdtype(variable.dtype, np.integer) == (signal.numbers != "real"), name
+
+
+def test_codes_are_named_as_cf_does_and_no_coordinate_has_a_fill_value(dataset, tmp_path):
+    write_netcdf(tmp_path / "run.nc", dataset)
+    with h5py.File(tmp_path / "run.nc", "r") as stored:
+        assert "_FillValue" not in stored["time"].attrs
+        status, modes = stored["qp_status"].attrs, stored["degraded_modes"].attrs
+        assert dict(zip(status["flag_values"], status["flag_meanings"].split(), strict=True))[1] == "iteration_limit"
+        named = dict(zip(modes["flag_meanings"].split(), modes["flag_masks"].tolist(), strict=True))
+        assert named == rust.MODES
+        assert stored["joint_condition"].attrs["flag_meanings"].split() == ["healthy", "stuck", "weak", "free"]
+        assert modes["flag_masks"].dtype == stored["degraded_modes"].dtype
 
 
 def test_an_integer_that_is_unknown_stays_so(make_flight, robot, tmp_path):
@@ -48,7 +63,7 @@ def test_an_integer_that_is_unknown_stays_so(make_flight, robot, tmp_path):
     flight = make_flight()
     modes = np.append(flight["degraded_modes"][:-1], np.nan)
     flight = dataclasses.replace(flight, log={**flight.log, "degraded_modes": modes})
-    record.write_dataset(record.to_dataset(flight, robot, title="made up", config_digest=""), tmp_path / "run.nc")
+    write_netcdf(tmp_path / "run.nc", record.to_dataset(flight, robot, title="made up", config_digest=""))
     with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as stored:
         np.testing.assert_array_equal(stored["degraded_modes"].values, modes)
         assert stored["qp_status"].dtype == np.int32

@@ -48,7 +48,7 @@ def test_ticks(name: str) -> None:
 
 def test_the_gradient_of_a_flight() -> None:
     def cost(scenario: sim.Scenario, start: sim.FlightState) -> jax.Array:
-        _, errors = sim.rollout(scenario, start, 3, lambda row: row.rotation_error**2)
+        _, errors = sim.rollout(scenario, start, 3, lambda row: row["rotation_error"] ** 2)
         return jnp.sum(errors)
 
     jax.eval_shape(jax.grad(cost, allow_int=True), *sim.prepare(rust.load_config("test2")))

@@ -25,7 +25,7 @@ from experiments.sweep.design import Design
 from experiments.sweep.intervals import wilson
 from experiments.sweep.perturbation import Perturbation, members
 from jax_aero import rust
-from jax_aero.base import places
+from jax_aero.base import places, quantities
 from jax_aero.cli import main
 
 ENSEMBLE = places.CONFIGS / "aero" / "networks" / "ensemble" / "ensemble.json"
@@ -636,7 +636,7 @@ def test_a_flight_counts_by_how_it_ends(outcome, com_error, counted):
 
 
 def test_what_the_guard_finds_is_unknown_of_jax():
-    summary = dict.fromkeys(columns.SUMMARY, 1.0)
+    summary = dict.fromkeys(rust.figures(), 1.0)
     result = rust.FlightResult({}, np.zeros(0), "completed", None, None, summary)
     for engine, known in (("rust", 1.0), ("jax", None)):
         made = design(engine=engine, repeats=1)
@@ -704,8 +704,8 @@ def test_a_row_is_flown_alone(flown, tmp_path, capsys):
     assert main(words) == 0
     row = pq.read_table(flown / "table.parquet").to_pylist()[7]
     document = json.loads((tmp_path / "quick--row_7" / "manifest.json").read_text())
-    alone = table.in_columns({name: x for name, x in document["summary"].items() if x is not None})
-    alone, before = (np.array([of.get(name) for name in columns.SUMMARY], float) for of in (alone, row))
+    alone = quantities.in_columns({name: x for name, x in document["summary"].items() if x is not None})
+    alone, before = (np.array([of.get(name) for name in quantities.COLUMNS], float) for of in (alone, row))
     np.testing.assert_array_equal(alone, before)
     assert main([*words[:3], "12", *words[4:]]) == 2
     assert "--row is 12 of" in capsys.readouterr().err

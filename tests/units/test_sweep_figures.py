@@ -244,12 +244,12 @@ def test_an_input_counts_by_its_distance_from_the_middle(tmp_path, agree):
     offset = np.linspace(-1.0, 1.0, 21)
     flights = pd.DataFrame({"speed": np.arange(21.0), "bias": offset, "error": np.abs(offset)})
     sweep = Sweep("s", {"axes": [{"name": "speed"}, {"name": "bias"}], "panels": ""}, tmp_path)
-    found = correlations(sweep, flights, "error")
+    found = correlations(sweep, flights, flights["error"])
     agree("bias", found["bias"], 1.0, 1e-12)
     assert abs(found["speed"]) < 0.2
     # A flight that was lost before the error counts has none, wherever it stands among the inputs.
     flights.loc[[3, 20], "error"] = np.nan
-    agree("bias of the others", correlations(sweep, flights, "error")["bias"], 1.0, 1e-12)
+    agree("bias of the others", correlations(sweep, flights, flights["error"])["bias"], 1.0, 1e-12)
 
 
 def test_a_front_pools_all_axes_but_missions_and_panels(tmp_path):

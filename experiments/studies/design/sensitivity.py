@@ -73,7 +73,9 @@ def gradient(config: rust.Config) -> tuple[float, Numbers, dict[str, float]]:
 
         def cost(by: Numbers) -> Any:
             changed = change(scenario, state, by, frames)
-            kept = rollout(*changed, ticks, lambda row: (row.com_position - row.com_setpoint, row.rotation_error))
+            kept = rollout(
+                *changed, ticks, lambda row: (row["com_position"] - row["com_setpoint"], row["rotation_error"])
+            )
             return cost_of(*kept[1])
 
         slope = jax.jit(jax.value_and_grad(cost), compiler_options=COMPILER_OPTIONS)

@@ -155,7 +155,7 @@ pub fn schemas() -> String {
 /// Declarations of all signals of a log, as a JSON list.
 #[pyfunction]
 pub fn signals() -> String {
-    serde_json::json!(SIGNALS[..]).to_string()
+    serde_json::json!(SIGNALS).to_string()
 }
 
 /// Declarations of all figures of merit of a flight, as a JSON list.

@@ -23,6 +23,7 @@ pub mod motors;
 pub mod noise;
 pub mod outcome;
 mod plant;
+pub mod quantity;
 mod replay;
 mod scenario;
 pub mod sensors;

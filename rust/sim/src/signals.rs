@@ -1,62 +1,15 @@
-//! The signals of a flight's log, each declared once: name, dimensions, unit, meaning, and how it is read.
-//!
-//! Log, Python bindings, result files and figures use these declarations.
+//! The signals of a flight's log, each declared once: name, label, dimensions, unit, meaning, and how it is read.
 
 use crate::plant::Plant;
+use crate::quantity::{Codes, Dimension, Quantity};
 use crate::world::Seen;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{Command, ControllerState, Measurement, Terms};
-use flight_core::qp::QpAnswer;
+use flight_core::control::limits::JointCondition;
+use flight_core::control::{Command, ControllerState, Measurement, Modes, Terms};
+use flight_core::qp::{QpAnswer, QpStatus};
 use flight_core::robot::{Foot, RobotModel};
 use flight_core::spatial::{rotation_angle, rpy_from_rotation, wxyz_from_rotation};
 use nalgebra::{DVector, Vector3};
-use serde::Serialize;
-
-/// Dimension of a signal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Dimension {
-    /// Ticks.
-    Time,
-    /// Axes.
-    Xyz,
-    /// Axes of the base.
-    BaseAxis,
-    /// Components of a quaternion.
-    Wxyz,
-    /// Roll, pitch, yaw.
-    Rpy,
-    /// Linear axes, then angular axes.
-    Six,
-    /// Joints of the robot.
-    Joint,
-    /// Jets of the robot.
-    Jet,
-    /// Aerodynamic links of the robot.
-    Link,
-    /// Momentum QP, then torque QP.
-    Qp,
-    /// Feet of the robot.
-    Foot,
-}
-
-impl Dimension {
-    /// Length of the dimension in one row of the log of a robot.
-    #[must_use]
-    pub fn len(self, robot: &RobotModel) -> usize {
-        match self {
-            Self::Time => 1,
-            Self::Qp => 2,
-            Self::Xyz | Self::BaseAxis | Self::Rpy => 3,
-            Self::Wxyz => 4,
-            Self::Six => 6,
-            Self::Joint => robot.joints.len(),
-            Self::Jet => robot.jets.len(),
-            Self::Link => robot.aero_links.len(),
-            Self::Foot => robot.feet.len(),
-        }
-    }
-}
 
 /// A tick of the controller.
 pub struct TickRow<'a> {
@@ -144,25 +97,8 @@ pub enum Read {
     World(fn(&WorldRow, &mut Vec<f64>)),
 }
 
-/// The declaration of a signal.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct Signal {
-    /// Name in result files.
-    pub name: &'static str,
-    /// Dimensions; a signal without time has one value per flight.
-    pub dims: &'static [Dimension],
-    /// Unit in UDUNITS notation.
-    pub unit: &'static str,
-    /// Meaning.
-    pub meaning: &'static str,
-    /// Whether its values are integers.
-    pub is_integer: bool,
-    /// Whether only engines with ground log it.
-    pub is_of_ground: bool,
-    /// How this engine reads it; `None` for signals that others log, and for those without rows.
-    #[serde(skip)]
-    pub read: Option<Read>,
-}
+/// The declaration of a signal; nothing reads those that others log, and those without rows.
+pub type Signal = Quantity<Option<Read>>;
 
 /// A signal of the controller, which every engine logs.
 const fn tick(
@@ -172,8 +108,7 @@ const fn tick(
     meaning: &'static str,
     read: fn(&TickRow, &mut Vec<f64>),
 ) -> Signal {
-    let read = Some(Read::Tick(read));
-    Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: false, read }
+    Quantity::new(name, dims, unit, meaning, Some(Read::Tick(read)))
 }
 
 /// A signal of the simulated robot, which every engine logs.
@@ -184,29 +119,7 @@ const fn world(
     meaning: &'static str,
     read: fn(&WorldRow, &mut Vec<f64>),
 ) -> Signal {
-    let read = Some(Read::World(read));
-    Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: false, read }
-}
-
-impl Signal {
-    /// Shape of one row of the log of a robot.
-    pub fn row_shape(&self, robot: &RobotModel) -> impl Iterator<Item = usize> {
-        self.dims.iter().filter(|dim| **dim != Dimension::Time).map(|dim| dim.len(robot))
-    }
-
-    /// Numbers in one row of the log of a robot.
-    #[must_use]
-    pub fn row_len(&self, robot: &RobotModel) -> usize {
-        self.row_shape(robot).product()
-    }
-}
-
-const fn integer(signal: Signal) -> Signal {
-    Signal { is_integer: true, ..signal }
-}
-
-const fn of_ground(signal: Signal) -> Signal {
-    Signal { is_of_ground: true, ..signal }
+    Quantity::new(name, dims, unit, meaning, Some(Read::World(read)))
 }
 
 const TIME: &[Dimension] = &[Dimension::Time];
@@ -226,9 +139,41 @@ const MOMENTUM: &str = "kg m s-1 (linear), kg m2 s-1 (angular)";
 const MOMENTUM_RATE: &str = "N (linear), N m (angular)";
 const WRENCH: &str = "N (force), N m (moment)";
 
+/// Codes of `qp_status`.
+const QP_STATUS: Codes = &[
+    (QpStatus::Solved as u32, "solved"),
+    (QpStatus::IterationLimit as u32, "iteration_limit"),
+    (QpStatus::NotPositiveDefinite as u32, "not_positive_definite"),
+    (QpStatus::InfeasibleBounds as u32, "infeasible_bounds"),
+    (QpStatus::NonFinite as u32, "non_finite"),
+    (QpStatus::Inaccurate as u32, "inaccurate"),
+    (QpStatus::SizeMismatch as u32, "size_mismatch"),
+    (QpStatus::Breakdown as u32, "breakdown"),
+];
+
+/// Codes of `joint_condition`.
+const JOINT_CONDITION: Codes = &[
+    (JointCondition::Healthy.code() as u32, "healthy"),
+    (JointCondition::Stuck.code() as u32, "stuck"),
+    (JointCondition::Weak(0.0).code() as u32, "weak"),
+    (JointCondition::Free.code() as u32, "free"),
+];
+
+/// Bits of a tick's modes.
+pub(crate) const MODES: Codes = &{
+    let mut codes = [(0, ""); Modes::NAMES.len()];
+    let mut number = 0;
+    while number < codes.len() {
+        let (mode, name, _) = Modes::NAMES[number];
+        codes[number] = (mode.bits(), name);
+        number += 1;
+    }
+    codes
+};
+
 /// All signals. Joint quantities are in the units of revolute joints; for prismatic ones replace rad by m
 /// and N m by N.
-pub static SIGNALS: [Signal; 52] = [
+pub static SIGNALS: &[Signal] = &[
     tick("time", TIME, "s", "time", |row, out| out.push(row.measurement.time)),
     world("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
         out.extend(&row.plant.state().base.position);
@@ -254,14 +199,17 @@ pub static SIGNALS: [Signal; 52] = [
     }),
     world("com_position", XYZ, "m", "centre of mass, inertial frame", |row, out| {
         out.extend(&row.plant.kinematics().com);
-    }),
+    })
+    .label("CoM"),
     world("com_velocity", XYZ, "m s-1", "velocity of the centre of mass, inertial frame", |row, out| {
         let mass = row.plant.kinematics().mass();
         out.extend(row.plant.dynamics().momentum.fixed_rows::<3>(0).iter().map(|momentum| momentum / mass));
-    }),
+    })
+    .label("CoM velocity"),
     tick("com_setpoint", XYZ, "m", "set-point of the centre of mass, inertial frame", |row, out| {
         out.extend(&row.terms.setpoint.com_position);
-    }),
+    })
+    .label("CoM reference"),
     world("rotation_error", TIME, "rad", "angle between the base and its set-point", |row, out| {
         out.push(row.errors.rotation);
     }),
@@ -278,18 +226,21 @@ pub static SIGNALS: [Signal; 52] = [
     ),
     tick("joint_torque", JOINT, "N m", "commanded joint torque, after the rate limiter", |row, out| {
         out.extend(&row.command.joint_torque);
-    }),
+    })
+    .label("desired joint torque"),
     world("wind", XYZ, "m s-1", "wind velocity, inertial frame", |row, out| out.extend(&row.wind)),
     world("aero_force_sim", LINK, "N", "aerodynamic force in the simulator, inertial frame", |row, out| {
         out.extend(row.plant.link_forces().forces_i.iter().flatten());
-    }),
+    })
+    .label("aerodynamic force"),
     tick(
         "aero_force_control",
         LINK,
         "N",
         "aerodynamic force the controller compensates, inertial frame",
         |row, out| out.extend(row.terms.link_forces.forces_i.iter().flatten()),
-    ),
+    )
+    .label("compensated force"),
     world("momentum", SIX, MOMENTUM, "centroidal momentum, inertial axes", |row, out| {
         out.extend(&row.plant.dynamics().momentum);
     }),
@@ -392,33 +343,25 @@ pub static SIGNALS: [Signal; 52] = [
     tick("raw_wind", XYZ, "m s-1", "wind velocity in that measurement, inertial frame", |row, out| {
         out.extend(&row.measurement.wind);
     }),
-    integer(tick("qp_status", QP, "1", "outcome of each QP; 0 is solved", |row, out| {
+    tick("qp_status", QP, "1", "outcome of each QP", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));
-    })),
+    })
+    .coded(QP_STATUS),
     tick("qp_kkt", QP, "1", "scaled KKT residual of each QP's answer", |row, out| {
         out.extend(row.qps().map(|answer| answer.kkt));
     }),
-    integer(tick("qp_iterations", QP, "1", "active-set iterations of each QP", |row, out| {
+    tick("qp_iterations", QP, "1", "active-set iterations of each QP", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.iterations)));
-    })),
-    integer(tick(
-        "degraded_modes",
-        TIME,
-        "1",
-        "what in the tick is not as usual, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
-         16 position, 32 rotation, 64 velocity predicted, 128 feet predicted, 256 clock predicted, 512 descending, 1024 engine limited, \
-         2048 begun again, 4096 joint limited, 8192 measurement ignored, 16384 straying, 32768 residual ignored, 65536 late, \
-         131072 state, 262144 set-point, 524288 preview ignored, 1048576 plan kept, 2097152 plan missing, \
-         4194304 momentum held, 8388608 torque held",
-        |row, out| out.push(f64::from(row.command.modes.bits())),
-    )),
-    integer(tick(
-        "joint_condition",
-        JOINT,
-        "1",
-        "what the controller finds of each joint: 0 healthy, 1 stuck, 2 weak, 3 free",
-        |row, out| out.extend(row.terms.limits.joints.iter().map(|found| f64::from(found.code()))),
-    )),
+    })
+    .integer(),
+    tick("degraded_modes", TIME, "1", "what in the tick is not as usual, a sum of bits", |row, out| {
+        out.push(f64::from(row.command.modes.bits()));
+    })
+    .bits(MODES),
+    tick("joint_condition", JOINT, "1", "what the controller finds of each joint", |row, out| {
+        out.extend(row.terms.limits.joints.iter().map(|found| f64::from(found.code())));
+    })
+    .coded(JOINT_CONDITION),
     tick(
         "measured_torque_latency",
         TIME,
@@ -433,58 +376,57 @@ pub static SIGNALS: [Signal; 52] = [
         "time from a tick until its thrust rates act, as measured, with the lag of the engines",
         |row, out| out.push(row.terms.findings.latency[1].unwrap_or(f64::NAN)),
     ),
-    Signal {
-        name: "joint_setpoint",
-        dims: &[Dimension::Joint],
-        unit: "rad",
-        meaning: "posture of the first tick, which the controller holds",
-        is_integer: false,
-        is_of_ground: false,
-        read: None,
-    },
-    of_ground(world(
+    Quantity::new(
+        "joint_setpoint",
+        &[Dimension::Joint],
+        "rad",
+        "posture of the first tick, which the controller holds",
+        None,
+    ),
+    world(
         "joint_torque_measured",
         JOINT,
         "N m",
         "torque that reaches the joint: of the motor, less its friction",
         |row, out| row.seen(|seen| &seen.joint_torque, out),
-    )),
-    of_ground(world(
+    )
+    .label("joint torque")
+    .of_ground(),
+    world(
         "foot_wrench",
         FOOT_SIX,
         WRENCH,
         "wrench on each sole about its origin, inertial axes",
         |row, out| row.seen(|seen| seen.foot_wrenches.iter().flatten(), out),
-    )),
-    of_ground(world("sole_position", FOOT_XYZ, "m", "origin of each sole, inertial frame", |row, out| {
+    )
+    .of_ground(),
+    world("sole_position", FOOT_XYZ, "m", "origin of each sole, inertial frame", |row, out| {
         row.seen(|seen| seen.soles.iter().flatten(), out);
-    })),
-    of_ground(integer(tick(
-        "feet_carry",
-        TIME,
-        "1",
-        "whether the controller takes the feet to carry",
-        |row, out| out.push(f64::from(u8::from(row.state.contact().is_active))),
-    ))),
-    of_ground(tick(
+    })
+    .of_ground(),
+    tick("feet_carry", TIME, "1", "whether the controller takes the feet to carry", |row, out| {
+        out.push(f64::from(u8::from(row.state.contact().is_active)));
+    })
+    .coded(&[(0, "no"), (1, "yes")])
+    .of_ground(),
+    tick(
         "contact_force",
         FOOT_SIX,
         WRENCH,
         "foot wrenches f_c* that the controller integrates",
         |row, out| row.every_foot(&row.state.contact().force, out),
-    )),
-    of_ground(tick(
+    )
+    .of_ground(),
+    tick(
         "contact_force_rate",
         FOOT_SIX,
         "N s-1 (force), N m s-1 (moment)",
         "rate of f_c* commanded by the momentum QP",
         |row, out| row.every_foot(&row.state.contact().force_rate, out),
-    )),
-    of_ground(tick(
-        "contact_force_torque",
-        FOOT_SIX,
-        WRENCH,
-        "foot wrenches that come with the torques",
-        |row, out| row.every_foot(&row.terms.contact.force_of_torques, out),
-    )),
+    )
+    .of_ground(),
+    tick("contact_force_torque", FOOT_SIX, WRENCH, "foot wrenches that come with the torques", |row, out| {
+        row.every_foot(&row.terms.contact.force_of_torques, out);
+    })
+    .of_ground(),
 ];

@@ -1,54 +1,37 @@
-//! Figures of merit of a flight, each declared once: name, unit, meaning.
+//! Figures of merit of a flight, each declared once: name, label, unit, meaning, and how it is computed.
 //!
 //! Equation M81 of `docs/model`.
 
 use crate::log::{FlightLog, Series};
+use crate::quantity::Quantity;
+use crate::signals::MODES;
 use flight_core::control::Modes;
 use nalgebra::Vector3;
-use serde::Serialize;
 
 /// The declaration of a figure of merit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Figure {
-    /// Name in result files.
-    pub name: &'static str,
-    /// Unit in UDUNITS notation.
-    pub unit: &'static str,
-    /// Meaning.
-    pub meaning: &'static str,
-    /// Whether only engines with ground have it.
-    pub is_of_ground: bool,
-}
-
-macro_rules! is_of_ground {
-    () => {
-        false
-    };
-    (ground) => {
-        true
-    };
-}
+pub type Figure = Quantity<fn(&Flown) -> f64>;
 
 macro_rules! figures {
-    ($($name:ident [$unit:literal] $meaning:literal $(of $ground:ident)?;)*) => {
+    ($($name:ident: $declared:expr;)*) => {
         /// Figures of merit of a flight. Each is NaN if a number from which it is computed is NaN, or if there is no
         /// tick to compute it from; for figures after settling, if the flight ended before.
         #[derive(Debug, Clone, Copy, PartialEq)]
         pub struct Summary {
-            $(#[doc = concat!($meaning, " \\[", $unit, "\\]")] pub $name: f64,)*
+            $(#[doc = concat!("`", stringify!($name), "` of [`FIGURES`].")] pub $name: f64,)*
         }
 
         /// All figures of merit.
-        pub const FIGURES: &[Figure] = &[$(Figure {
-            name: stringify!($name),
-            unit: $unit,
-            meaning: $meaning,
-            is_of_ground: is_of_ground!($($ground)?),
-        }),*];
+        pub const FIGURES: &[Figure] = &[$(Quantity { name: stringify!($name), ..$declared }),*];
 
         impl Summary {
-            /// Figures without any tick.
-            const NONE: Self = Self { $($name: f64::NAN),* };
+            /// Figures of merit of the first `ticks` rows of a log.
+            #[must_use]
+            pub fn new(log: &FlightLog, ticks: usize) -> Self {
+                let Some(flown) = Flown::new(log, ticks) else { return Self { $($name: f64::NAN),* } };
+                let mut figures = FIGURES.iter();
+                let mut next = || figures.next().map_or(f64::NAN, |figure| (figure.read)(&flown));
+                Self { $($name: next()),* }
+            }
 
             /// The figures, in the order of [`FIGURES`].
             fn values(&self) -> Vec<f64> {
@@ -58,36 +41,120 @@ macro_rules! figures {
     };
 }
 
+const fn figure(
+    label: &'static str,
+    unit: &'static str,
+    meaning: &'static str,
+    read: fn(&Flown) -> f64,
+) -> Figure {
+    Quantity::new("", &[], unit, meaning, read).label(label)
+}
+
 figures! {
-    max_com_error ["m"] "greatest distance of the centre of mass from its set-point after settling, until the robot descends";
-    max_com_error_x ["m"] "greatest distance from the set-point along x after settling";
-    max_com_error_y ["m"] "greatest distance from the set-point along y after settling";
-    max_com_error_z ["m"] "greatest distance from the set-point along z after settling";
-    max_rotation_error ["rad"] "greatest angle between the base and its set-point";
-    thrust_min ["N"] "least thrust of any jet";
-    thrust_max ["N"] "greatest thrust of any jet";
-    max_torque ["N m"] "greatest commanded joint torque";
-    min_com_height ["m"] "least height of the centre of mass";
-    min_com_x_settling ["m"] "least x of the centre of mass while settling";
-    ticks_without_solution ["1"] "ticks at which a QP gave no certified answer";
-    rms_com_error ["m"] "root mean square of the distance from the set-point after settling";
-    rms_rotation_error ["rad"] "root mean square of the rotation error after settling";
-    time_above_45_deg ["s"] "time with a rotation error above 45 degrees";
-    max_joint_error_sum ["rad"] "greatest sum of absolute joint errors";
-    max_aero_force ["N"] "greatest total aerodynamic force in the simulator";
-    max_aero_force_difference ["N"] "greatest difference of the total aerodynamic force to the controller's";
-    max_kkt ["1"] "greatest finite KKT residual of an answer";
-    max_qp_iterations ["1"] "most iterations of a QP in one tick";
-    degraded_time ["s"] "time in which a tick has a mode other than those of solvers";
-    nominal_until ["s"] "time of the first such tick, without one of the last tick";
-    all_modes ["1"] "modes that any tick has, a sum of bits";
-    end_com_x ["m"] "x of the centre of mass at the end";
-    end_com_y ["m"] "y of the centre of mass at the end";
-    end_com_z ["m"] "height of the centre of mass at the end";
-    end_speed ["m/s"] "speed of the centre of mass at the end";
-    warning_time ["s"] "time before the end since which it was degraded, but for gaps of at most a second";
-    time_off_the_ground ["s"] "time in which the feet do not carry" of ground;
-    touchdown_speed ["m/s"] "greatest speed downwards with which feet that carried nothing touch the ground" of ground;
+    max_com_error: figure(
+        "max CoM error", "m",
+        "greatest distance of the centre of mass from its set-point after settling, until the robot descends",
+        |of| greatest_of(of.distances()),
+    ).shown("cm").tabled();
+    max_com_error_x: figure(
+        "max CoM error along x", "m", "greatest distance from the set-point along x after settling", |of| of.along(0),
+    ).shown("cm");
+    max_com_error_y: figure(
+        "max CoM error along y", "m", "greatest distance from the set-point along y after settling", |of| of.along(1),
+    ).shown("cm");
+    max_com_error_z: figure(
+        "max CoM error along z", "m", "greatest distance from the set-point along z after settling", |of| of.along(2),
+    ).shown("cm");
+    max_rotation_error: figure(
+        "max rotation error", "rad", "greatest angle between the base and its set-point",
+        |of| greatest(of.rotation.iter().copied()),
+    ).tabled();
+    thrust_min: figure(
+        "least thrust", "N", "least thrust of any jet",
+        |of| of.data("thrust").iter().copied().reduce(lesser).unwrap_or_default(),
+    ).tabled();
+    thrust_max: figure(
+        "greatest thrust", "N", "greatest thrust of any jet",
+        |of| of.data("thrust").iter().copied().reduce(greater).unwrap_or_default(),
+    ).tabled();
+    max_torque: figure(
+        "greatest torque", "N m", "greatest commanded joint torque",
+        |of| greatest(of.data("joint_torque").iter().map(|torque| torque.abs())),
+    );
+    min_com_height: figure(
+        "least height", "m", "least height of the centre of mass", |of| least(of.rows("com_position").map(|com| com.z)),
+    );
+    min_com_x_settling: figure(
+        "least x while settling", "m", "least x of the centre of mass while settling",
+        |of| least(of.rows("com_position").take(of.settling).map(|com| com.x)),
+    );
+    ticks_without_solution: figure(
+        "ticks without solution", "1", "ticks at which a QP gave no certified answer",
+        |of| ticks_above(of.of_qps("qp_status"), 0.0),
+    );
+    rms_com_error: figure(
+        "RMS CoM error", "m", "root mean square of the distance from the set-point after settling",
+        |of| root_mean_square(of.distances()),
+    ).shown("cm");
+    rms_rotation_error: figure(
+        "RMS rotation error", "rad", "root mean square of the rotation error after settling",
+        |of| root_mean_square(of.rotation.iter().skip(of.settling).copied()),
+    );
+    time_above_45_deg: figure(
+        "time above 45°", "s", "time with a rotation error above 45 degrees",
+        |of| of.tick * ticks_above(of.rotation.iter().copied(), LEANING),
+    );
+    max_joint_error_sum: figure(
+        "max sum of joint errors", "rad", "greatest sum of absolute joint errors", |of| greatest(of.joint_errors()),
+    );
+    max_aero_force: figure(
+        "max aerodynamic force", "N", "greatest total aerodynamic force in the simulator",
+        |of| greatest(of.forces("aero_force_sim").map(|force| force.norm())),
+    );
+    max_aero_force_difference: figure(
+        "max force difference", "N", "greatest difference of the total aerodynamic force to the controller's",
+        |of| {
+            let pairs = of.forces("aero_force_sim").zip(of.forces("aero_force_control"));
+            greatest(pairs.map(|(simulated, estimated)| (simulated - estimated).norm()))
+        },
+    );
+    max_kkt: figure(
+        "max KKT residual", "1", "greatest finite KKT residual of an answer",
+        |of| greatest_of(of.data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
+    );
+    max_qp_iterations: figure(
+        "most QP iterations", "1", "most iterations of a QP in one tick", |of| greatest(of.of_qps("qp_iterations")),
+    );
+    degraded_time: figure(
+        "degraded time", "s", "time in which a tick has a mode other than those of solvers",
+        |of| of.tick * ticks_above(of.modes.iter().copied().map(without_solvers), 0.0),
+    );
+    nominal_until: figure(
+        "nominal until", "s", "time of the first such tick, without one of the last tick",
+        |of| of.of_modes(of.degraded().next().unwrap_or(of.end)),
+    );
+    all_modes: figure(
+        "modes", "1", "modes that any tick has, a sum of bits", |of| of.of_modes(all_modes(of.modes)),
+    ).bits(MODES);
+    end_com_x: figure("x at the end", "m", "x of the centre of mass at the end", |of| of.end_com().x);
+    end_com_y: figure("y at the end", "m", "y of the centre of mass at the end", |of| of.end_com().y);
+    end_com_z: figure("height at the end", "m", "height of the centre of mass at the end", |of| of.end_com().z);
+    end_speed: figure(
+        "speed at the end", "m s-1", "speed of the centre of mass at the end",
+        |of| of.rows("com_velocity").next_back().map_or(f64::NAN, |velocity| velocity.norm()),
+    );
+    warning_time: figure(
+        "warning time", "s", "time before the end since which it was degraded, but for gaps of at most a second",
+        |of| of.of_modes(warning_time(of.end, of.degraded().rev())),
+    );
+    time_off_the_ground: figure(
+        "time off the ground", "s", "time in which the feet do not carry",
+        |of| of.tick * ticks_above(of.data("feet_carry").iter().map(|carry| 1.0 - carry), 0.0),
+    ).of_ground();
+    touchdown_speed: figure(
+        "touch-down speed", "m s-1", "greatest speed downwards with which feet that carried nothing touch the ground",
+        |of| greatest(of.touchdowns()),
+    ).of_ground();
 }
 
 /// Rotation error above which a robot in flight counts as leaning \[rad\].
@@ -99,86 +166,111 @@ pub const SETTLING_TIME: f64 = 3.0;
 /// Longest time without a degraded tick that does not interrupt a warning \[s\].
 pub const WARNING_GAP: f64 = 1.0;
 
-impl Summary {
-    /// Figures of merit of the first `ticks` rows of a log.
-    #[must_use]
-    pub fn new(log: &FlightLog, ticks: usize) -> Self {
-        let data = |name: &str| {
-            log.series(name)
-                .map_or(&[][..], |series| &series.data[..series.data.len().min(ticks * series.width())])
+/// The rows of a log that are judged, of which there are some.
+#[derive(Debug)]
+pub struct Flown<'a> {
+    log: &'a FlightLog,
+    ticks: usize,
+    time: &'a [f64],
+    rotation: &'a [f64],
+    modes: &'a [f64],
+    /// Number of ticks while settling.
+    settling: usize,
+    /// Offsets from the set-point after settling, until the robot descends \[m\].
+    com_errors: Vec<Vector3<f64>>,
+    /// Duration of a tick, and time of the last one \[s\].
+    tick: f64,
+    end: f64,
+}
+
+impl<'a> Flown<'a> {
+    fn new(log: &'a FlightLog, ticks: usize) -> Option<Self> {
+        let mut flown = Self {
+            log,
+            ticks,
+            time: &[],
+            rotation: &[],
+            modes: &[],
+            settling: 0,
+            com_errors: Vec::new(),
+            tick: 0.0,
+            end: 0.0,
         };
-        let rows = |name: &str| data(name).chunks_exact(3).map(Vector3::from_column_slice);
-        let (time, rotation) = (data("time"), data("rotation_error"));
-        let Some(&end) = time.last() else { return Self::NONE };
-        let is_settled = |time: &&f64| **time >= SETTLING_TIME;
-        let settling = time.iter().take_while(|time| !is_settled(time)).count();
-        let modes = data("degraded_modes");
-        let flown = time.len() - modes.iter().filter(|modes| is_descending(**modes)).count();
-        let com_errors: Vec<Vector3<f64>> = rows("com_position")
-            .zip(rows("com_setpoint"))
-            .take(flown)
-            .skip(settling)
-            .map(|(com, desired)| com - desired)
-            .collect();
-        let distances = || com_errors.iter().map(Vector3::norm);
-        let along = |axis: usize| greatest_of(com_errors.iter().map(|error| error[axis].abs()));
-        let tick = time.get(1).copied().unwrap_or_default();
-        let other: Vec<f64> = modes.iter().copied().map(without_solvers).collect();
-        let degraded = || time.iter().zip(&other).filter(|(_, modes)| **modes > 0.0).map(|(time, _)| *time);
-        let are_known = !modes.iter().any(|modes| modes.is_nan());
-        let of_modes = |value: f64| if are_known { value } else { f64::NAN };
-        let joints = log.joint_setpoint.len().max(1);
-        let joint_errors = data("joint_position").chunks_exact(joints).map(|positions| {
-            positions.iter().zip(&log.joint_setpoint).map(|(s, s_d)| (s - s_d).abs()).sum::<f64>()
-        });
-        let simulated = total_forces(log, "aero_force_sim", ticks);
-        let estimated = total_forces(log, "aero_force_control", ticks);
-        // The greater number of both QPs, or of the one that there is.
-        let of_qps = |name: &str| data(name).chunks_exact(2).map(|both| both[0].max(both[1]));
-        let thrust = || data("thrust").iter().copied();
-        let end_com = rows("com_position").next_back().unwrap_or(Vector3::repeat(f64::NAN));
-        let feet = log.series("foot_wrench").map_or(0, Series::width).max(1);
-        let loads = data("foot_wrench")
-            .chunks_exact(feet)
-            .map(|wrenches| wrenches.chunks_exact(6).map(|wrench| wrench[2]).sum::<f64>());
-        let loads: Vec<f64> = loads.collect();
-        let touchdowns =
-            rows("com_velocity").zip(loads.windows(2)).filter(|(_, load)| load[0] == 0.0 && load[1] > 0.0);
-        Self {
-            max_com_error: greatest_of(distances()),
-            max_com_error_x: along(0),
-            max_com_error_y: along(1),
-            max_com_error_z: along(2),
-            max_rotation_error: greatest(rotation.iter().copied()),
-            thrust_min: thrust().reduce(lesser).unwrap_or_default(),
-            thrust_max: thrust().reduce(greater).unwrap_or_default(),
-            max_torque: greatest(data("joint_torque").iter().map(|torque| torque.abs())),
-            min_com_height: least(rows("com_position").map(|com| com.z)),
-            min_com_x_settling: least(rows("com_position").take(settling).map(|com| com.x)),
-            ticks_without_solution: ticks_above(of_qps("qp_status"), 0.0),
-            rms_com_error: root_mean_square(distances()),
-            rms_rotation_error: root_mean_square(rotation.iter().skip(settling).copied()),
-            time_above_45_deg: tick * ticks_above(rotation.iter().copied(), LEANING),
-            max_joint_error_sum: greatest(joint_errors),
-            max_aero_force: greatest(simulated.iter().map(Vector3::norm)),
-            max_aero_force_difference: greatest(
-                simulated.iter().zip(&estimated).map(|(simulated, estimated)| (simulated - estimated).norm()),
-            ),
-            max_kkt: greatest_of(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
-            max_qp_iterations: greatest(of_qps("qp_iterations")),
-            degraded_time: tick * ticks_above(other.iter().copied(), 0.0),
-            nominal_until: of_modes(degraded().next().unwrap_or(end)),
-            all_modes: of_modes(all_modes(modes)),
-            end_com_x: end_com.x,
-            end_com_y: end_com.y,
-            end_com_z: end_com.z,
-            end_speed: rows("com_velocity").next_back().map_or(f64::NAN, |velocity| velocity.norm()),
-            warning_time: of_modes(warning_time(end, degraded().rev())),
-            time_off_the_ground: tick * ticks_above(data("feet_carry").iter().map(|carry| 1.0 - carry), 0.0),
-            touchdown_speed: greatest(touchdowns.map(|(velocity, _)| (-velocity.z).max(0.0))),
-        }
+        let time = flown.data("time");
+        (flown.time, flown.rotation, flown.modes) =
+            (time, flown.data("rotation_error"), flown.data("degraded_modes"));
+        flown.end = *time.last()?;
+        flown.tick = time.get(1).copied().unwrap_or_default();
+        flown.settling = time.iter().take_while(|time| **time < SETTLING_TIME).count();
+        let before_descent = time.len() - flown.modes.iter().filter(|modes| is_descending(**modes)).count();
+        let pairs = flown.rows("com_position").zip(flown.rows("com_setpoint")).take(before_descent);
+        flown.com_errors = pairs.skip(flown.settling).map(|(com, desired)| com - desired).collect();
+        Some(flown)
     }
 
+    /// Numbers of a signal; none if it is not in the log.
+    fn data(&self, name: &str) -> &'a [f64] {
+        let series = self.log.series(name);
+        series.map_or(&[], |series| &series.data[..series.data.len().min(self.ticks * series.width())])
+    }
+
+    fn rows(&self, name: &str) -> impl DoubleEndedIterator<Item = Vector3<f64>> + use<'a> {
+        self.data(name).chunks_exact(3).map(Vector3::from_column_slice)
+    }
+
+    /// Sum of the forces on all links at every tick \[N\].
+    fn forces(&self, name: &str) -> impl Iterator<Item = Vector3<f64>> + use<'a> {
+        let width = self.log.series(name).map_or(0, Series::width).max(1);
+        let total = |row: &[f64]| row.chunks_exact(3).map(Vector3::from_column_slice).sum();
+        self.data(name).chunks_exact(width).map(total)
+    }
+
+    fn distances(&self) -> impl Iterator<Item = f64> {
+        self.com_errors.iter().map(Vector3::norm)
+    }
+
+    fn along(&self, axis: usize) -> f64 {
+        greatest_of(self.com_errors.iter().map(|error| error[axis].abs()))
+    }
+
+    /// The greater number of both QPs, or of the one that there is.
+    fn of_qps(&self, name: &str) -> impl Iterator<Item = f64> + use<'a> {
+        self.data(name).chunks_exact(2).map(|both| both[0].max(both[1]))
+    }
+
+    fn joint_errors(&self) -> impl Iterator<Item = f64> {
+        let desired = &self.log.joint_setpoint;
+        let error = move |s: &[f64]| s.iter().zip(desired).map(|(s, s_d)| (s - s_d).abs()).sum::<f64>();
+        self.data("joint_position").chunks_exact(desired.len().max(1)).map(error)
+    }
+
+    /// Times of degraded ticks.
+    fn degraded(&self) -> impl DoubleEndedIterator<Item = f64> {
+        let degraded = self.time.iter().zip(self.modes).filter(|(_, modes)| without_solvers(**modes) > 0.0);
+        degraded.map(|(time, _)| *time)
+    }
+
+    /// A figure of the modes; NaN unless all are known.
+    fn of_modes(&self, value: f64) -> f64 {
+        if self.modes.iter().any(|modes| modes.is_nan()) { f64::NAN } else { value }
+    }
+
+    fn end_com(&self) -> Vector3<f64> {
+        self.rows("com_position").next_back().unwrap_or(Vector3::repeat(f64::NAN))
+    }
+
+    /// Speeds downwards at which feet that carried nothing touch the ground \[m/s\].
+    fn touchdowns(&self) -> impl Iterator<Item = f64> {
+        let feet = self.log.series("foot_wrench").map_or(0, Series::width).max(1);
+        let load = |wrenches: &[f64]| wrenches.chunks_exact(6).map(|wrench| wrench[2]).sum::<f64>();
+        let loads: Vec<f64> = self.data("foot_wrench").chunks_exact(feet).map(load).collect();
+        let touch: Vec<bool> = loads.windows(2).map(|load| load[0] == 0.0 && load[1] > 0.0).collect();
+        let at = self.rows("com_velocity").zip(touch).filter(|(_, touches)| *touches);
+        at.map(|(velocity, _)| (-velocity.z).max(0.0))
+    }
+}
+
+impl Summary {
     /// The figures that a flight has, with or without ground.
     pub fn figures(&self, has_ground: bool) -> impl Iterator<Item = (&'static Figure, f64)> {
         let every = FIGURES.iter().zip(self.values());
@@ -221,13 +313,6 @@ fn warning_time(end: f64, degraded: impl Iterator<Item = f64>) -> f64 {
         is_of_warning.then_some(time)
     });
     end - start.last().unwrap_or(end)
-}
-
-/// Sum of the forces on all links at every tick \[N\].
-fn total_forces(log: &FlightLog, name: &str, ticks: usize) -> Vec<Vector3<f64>> {
-    let Some(series) = log.series(name) else { return Vec::new() };
-    let total = |row: &[f64]| row.chunks_exact(3).map(Vector3::from_column_slice).sum();
-    (0..log.len().min(ticks)).map(|tick| total(series.row(tick))).collect()
 }
 
 /// The greater number, or NaN if one is NaN, which `f64::max` would hide.

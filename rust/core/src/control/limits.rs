@@ -30,7 +30,7 @@ impl JointCondition {
 
     /// Number in logs.
     #[must_use]
-    pub fn code(self) -> u8 {
+    pub const fn code(self) -> u8 {
         match self {
             Self::Healthy => 0,
             Self::Stuck => 1,

@@ -5,7 +5,7 @@ use crate::common::{assert_within, difference, experiment, fly, tick_at};
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
 use flight_sim::outcome::Judge;
-use flight_sim::signals::Dimension;
+use flight_sim::quantity::Dimension;
 use flight_sim::{
     BatchError, FlightLog, FlightResult, Handed, Loss, LossReason, NoResult, Scenario, ScenarioConfig,
     fly_batch,
@@ -29,7 +29,7 @@ fn run(config: &ScenarioConfig) -> FlightResult {
 fn signals_and_figures_are_declared_once() {
     let names: BTreeSet<_> = SIGNALS.iter().map(|signal| signal.name).collect();
     assert_eq!(names.len(), SIGNALS.len());
-    for signal in &SIGNALS {
+    for signal in SIGNALS {
         assert!(!signal.dims.is_empty() && !signal.unit.is_empty() && !signal.meaning.is_empty());
         let per_tick = signal.dims[0] == Dimension::Time;
         assert_eq!(signal.read.is_some(), per_tick, "{}", signal.name);
