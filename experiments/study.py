@@ -148,8 +148,8 @@ class Study(Generic[C]):
             read = [*tables.files(config), *self.reads(name, config)]
             record.check_replaceable(folder, lambda kept: _is_of(config, read, kept), overwrite=overwrite)
             table = plain.to_builtins(config)
-            work = Work.on(folder, Identity.of({"config": table}, read))
-            findings: Findings = self.compute(name, config, *([work] if self.resumes else []))
+            under_way = [Work.on(folder, Identity.of({"config": table}, read))] if self.resumes else []
+            findings: Findings = self.compute(name, config, *under_way)
             timings = {**findings.timings, "all": time.perf_counter() - started}
             flights = {key: rust.config_digest(flight) for key, flight in findings.flights.items()}
             flights |= findings.results
@@ -174,7 +174,8 @@ class Study(Generic[C]):
             )
             dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=identity.digest)
             record.write_run(folder, dataset, document, replace=True, texts=findings.texts)
-            work.clear()
+            for work in under_way:
+                work.clear()
         print(f"{findings.title}\n{findings.report or listing(findings.summary)}")
         print(f"{manifest.make_portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
         return document
