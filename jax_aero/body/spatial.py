@@ -130,7 +130,7 @@ def log_so3(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     square, cosine = xp.sum(v * v, -1), 0.5 * (trace(r) - 1.0)
     # The antisymmetric part vanishes at 180°. Above 90° the axis k is that of (R + Rᵀ)/2 − cos θ I = (1 − cos θ) k kᵀ,
     # whose longest column has the greatest diagonal entry.
-    is_large, eye = (cosine < 0.0)[..., None, None], xp.eye(3, dtype=r.dtype)
+    is_large, eye = (cosine < 0.0)[..., None, None], xp.broadcast_to(xp.eye(3, dtype=r.dtype), r.shape)
     outer = xp.where(is_large, 0.5 * (r + xp.swapaxes(r, -1, -2)) - cosine[..., None, None] * eye, eye)
     longest = xp.argmax(xp.diagonal(outer, axis1=-2, axis2=-1), -1)
     column = xp.take_along_axis(outer, longest[..., None, None], -1)[..., 0]

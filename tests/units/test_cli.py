@@ -74,7 +74,7 @@ def packages_of(module: str) -> set[str]:
 
 def packages_in(extras: str) -> set[str]:
     """Packages that these extras bring, by the name of their import."""
-    brought = {"PIL": "pillow", "sklearn": "scikit-learn", "warp": "warp-lang"}
+    brought = {"PIL": "pillow", "markdown_it": "markdown-it-py", "sklearn": "scikit-learn", "warp": "warp-lang"}
     packages, waiting = set(), [*PROJECT["dependencies"], f"jax-aero[{extras}]"]
     while waiting:
         name, below = re.match(r"([\w-]+)(?:\[([\w,-]+)\])?", waiting.pop()).groups()

@@ -118,10 +118,9 @@ def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path):
     assert (tmp_path / "run" / "run.nc").read_text() == "theirs"
 
 
-def test_a_manifest_counts_beside_the_results_of_a_run(tmp_path):
-    (tmp_path / places.MANIFEST_FILE).write_text('{"title": "made up"}')
+def test_a_manifest_counts_where_it_is_one(tmp_path):
     assert record.read_manifest(tmp_path) is None
-    (tmp_path / places.RUN_FILE).touch()
+    (tmp_path / places.MANIFEST_FILE).write_text('{"title": "made up"}')
     assert record.read_manifest(tmp_path) == {"title": "made up"}
     (tmp_path / places.MANIFEST_FILE).write_text("[]")
     assert record.read_manifest(tmp_path) is None
