@@ -91,8 +91,8 @@ def test_a_policy_flies_in_the_crate_as_in_the_environment(x64, measured, robot)
     assert moved > 1e-3
     # The loop multiplies roundings of 1e-12 by a hundred within half a second.
     measured("environment: base [m]", np.abs(ours - theirs["base_position"][:ticks]).max(), 1e-9)
-    measured("twin: base [m]", np.abs(twin.base_position - theirs["base_position"][:ticks]).max(), 1e-9)
-    measured("twin: thrust rates [N/s]", np.abs(twin.thrust_rate - theirs["thrust_rate"][:ticks]).max(), 1e-5)
+    measured("twin: base [m]", np.abs(twin["base_position"] - theirs["base_position"][:ticks]).max(), 1e-9)
+    measured("twin: thrust rates [N/s]", np.abs(twin["thrust_rate"] - theirs["thrust_rate"][:ticks]).max(), 1e-5)
 
 
 def test_a_residual_that_is_no_number_is_named(x64, robot):
@@ -110,10 +110,10 @@ def test_a_residual_that_is_no_number_is_named(x64, robot):
         return first_tick(spoilt, begun), first_tick(without, begun._replace(controller=memory))
 
     with_nan, alone = first_ticks(begun)
-    assert int(with_nan.degraded_modes) == MODES["residual_ignored"]
+    assert int(with_nan["degraded_modes"]) == MODES["residual_ignored"]
     # Two laws in a program, which a compiler orders each in its own way.
-    np.testing.assert_allclose(with_nan.thrust_rate, alone.thrust_rate, rtol=1e-10)
-    np.testing.assert_allclose(with_nan.joint_torque, alone.joint_torque, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(with_nan["thrust_rate"], alone["thrust_rate"], rtol=1e-10)
+    np.testing.assert_allclose(with_nan["joint_torque"], alone["joint_torque"], rtol=1e-10, atol=1e-10)
 
 
 def test_a_card_is_read_as_it_was_written(x64, tmp_path, robot):
