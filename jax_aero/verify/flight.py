@@ -60,9 +60,6 @@ NOT_COMPARED = ("qp_iterations", "qp_kkt", "measured_torque_latency", "measured_
 CARRIED = 100
 """Ticks for which memory carries a rounding on: 1 s."""
 
-EVERY = 4
-"""Ticks from one whose step of the dynamics is rounded to the next: many within those for which memory lasts."""
-
 SECTION = 100
 """Ticks that one call of JAX flies, so that flights of every length are the same program; one astray has no more."""
 
@@ -129,7 +126,7 @@ def verify_flight(config: Mapping[str, Any], backend: str = "tree") -> Verified:
         scenario, start = prepare({**config, "simulator": {**config["simulator"], "dynamics": backend}})
         sections, free = (list(fly_sections(scenario, start, crate, is_free=is_free)) for is_free in (False, True))
     twin = join(crate, sections)
-    ticks, rows = compare_ticks(crate, twin, replay_rounded(config, crate))
+    ticks, rows = compare_ticks(crate, twin, replay_rounded(config, crate, twin))
     sections_astray, rows_astray = verify_astray(config, scenario, start)
     until, rows_of_flight = compare_flight(crate, join(crate, free), _fly_rounded(config))
     sections = [*sections_astray, *sections[: -(-ticks // SECTION)]]
@@ -144,7 +141,7 @@ def verify_astray(config: Mapping[str, Any], scenario: Scenario, start: FlightSt
         with jax.enable_x64(True):
             flown = list(fly_sections(scenario, start, crate))
         twin = join(crate, flown)
-        found = compare_ticks(crate, twin, replay_rounded(config, crate), "astray")[1]
+        found = compare_ticks(crate, twin, replay_rounded(config, crate, twin), "astray")[1]
         for row in found:
             if not row.quantity.startswith("raw_"):  # not what its own sensors measure
                 rows[row.quantity] = max(
@@ -234,16 +231,22 @@ def _fly(
     return jax.lax.scan(fly_tick, start, (ticks, given))
 
 
-def replay_rounded(config: Mapping[str, Any], crate: FlightResult) -> dict[str, NDArray[np.float64]]:
+def replay_rounded(
+    config: Mapping[str, Any], crate: FlightResult, twin: FlightResult
+) -> dict[str, NDArray[np.float64]]:
     """Return signals of the crate's flight, every tick of it given what differs by a rounding.
 
-    They are those of the controller, and the velocities to which its command leads.
+    They are those of the controller, and the velocities to which its command leads. The torques of `twin` differ by the
+    tolerance of a solution, which their own row judges; the velocities inherit it.
     """
     rng, log = np.random.default_rng(0), crate.log
     rounded = {name: round_numbers(rng, signal) for name, signal in log.items() if name.startswith("raw_")}
     rounded["raw_base_rotation"] = round_rotation(rng, log["raw_base_rotation"])
     signals = rust.replay(config, {**log, **rounded})
-    after = _round_velocities(config, crate, signals["joint_torque"] - crate["joint_torque"])
+    torque = signals["joint_torque"] - crate["joint_torque"]
+    ticks = min(len(torque), len(twin["joint_torque"]))
+    torque[:ticks] += twin["joint_torque"][:ticks] - crate["joint_torque"][:ticks]
+    after = _round_velocities(config, crate, torque)
     return {**signals, "base_velocity": after[:, :6], "joint_velocity": after[:, 6:]}
 
 
@@ -252,12 +255,12 @@ def _round_velocities(
 ) -> NDArray[np.float64]:
     """Return the velocities of a flight, (ticks, 6 + n), each after a step of the forward dynamics that was rounded.
 
-    `torque` is what the rounding changes of the command [N m], (ticks, n).
+    `torque` is what the rounding and the twin's solver change of the command [N m], (ticks, n).
     """
     rng, robot, dt = np.random.default_rng(2), rust.Robot(config["robot"]), config["simulator"]["time_step"]
     states = states_of(crate.log, "", rust.rotation_from_wxyz(crate["base_quaternion"]))
     velocity, rounded = np.asarray(states.velocity), np.array(states.velocity)
-    for tick, accelerated in list(enumerate(np.diff(velocity, axis=0) / dt))[::EVERY]:
+    for tick, accelerated in enumerate(np.diff(velocity, axis=0) / dt):
         state = rust.State(*(np.asarray(part[tick]) for part in states))
         dynamics = rust.dynamics(robot, state)
         force = dynamics.mass_matrix @ accelerated + dynamics.bias
@@ -329,11 +332,15 @@ def compare_flight(crate: FlightResult, twin: FlightResult, rounded: FlightResul
 
 
 def states_of(log: Mapping[str, NDArray[np.float64]], prefix: str, rotation: NDArray[np.float64]) -> State:
-    """Return the states of a log, of the robot or as its sensors measure it (`raw_`), for given rotations."""
+    """Return the states of a log, of the robot or as its sensors measure it (`raw_`), for given rotations.
+
+    They are arrays of NumPy: JAX's would be rounded to single precision where double is not on.
+    """
     position, velocity, joints, speeds = (
         log[prefix + name] for name in ("base_position", "base_velocity", "joint_position", "joint_velocity")
     )
-    return State(*map(jnp.asarray, (position, rotation, joints, np.concatenate([velocity, speeds], axis=1))))
+    parts: list[Any] = [position, rotation, joints, np.concatenate([velocity, speeds], axis=1)]
+    return State(*parts)
 
 
 def _fly_rounded(config: Mapping[str, Any]) -> FlightResult:

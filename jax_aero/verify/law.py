@@ -81,7 +81,7 @@ def follow_law(params: MomentumController, model: RobotModel, flown: Recorded) -
 def compare_law(config: Mapping[str, Any], flown: Recorded, signals: Mapping[str, Any]) -> list[Row]:
     """Compare the signals of the law with the crate's, in the ticks before the guard acts."""
     crate = flown.crate
-    return compare_signals("law", crate, signals, replay_rounded(config, crate), ticks_unguarded(crate))
+    return compare_signals("law", crate, signals, replay_rounded(config, crate, crate), ticks_unguarded(crate))
 
 
 @partial(jax.jit, compiler_options=COMPILER_OPTIONS)

@@ -77,7 +77,7 @@ def as_flown(crate, **changes):
 def test_every_signal_of_a_tick_is_compared():
     config = rust.load_config("test2", {"simulator.duration": 0.1})
     crate = rust.fly(config)
-    rounded = flight.replay_rounded(config, crate)
+    rounded = flight.replay_rounded(config, crate, crate)
     ticks, rows = flight.compare_ticks(crate, crate, rounded)
     assert ticks == 11
     assert {row.quantity for row in rows} == {*crate.log, "outcome"} - {*flight.NOT_COMPARED}
@@ -97,7 +97,7 @@ def test_ticks_are_compared_until_the_guard_acts():
     config = rust.load_config("test2", {"simulator.duration": 0.1})
     crate = rust.fly(config)
     guarded = as_flown(crate, degraded_modes=np.where(np.arange(11) > 6, 1.0, 0.0))
-    ticks, rows = flight.compare_ticks(guarded, crate, flight.replay_rounded(config, crate))
+    ticks, rows = flight.compare_ticks(guarded, crate, flight.replay_rounded(config, crate, crate))
     assert ticks == 7
     assert all(row.agrees and row.quantity != "outcome" for row in rows)
 

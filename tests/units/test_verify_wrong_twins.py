@@ -112,7 +112,7 @@ def test_wrong_twins_are_refused(experiment):
     changes = {"simulator.duration": 1.99, "simulator.initial.base_velocity": MOVING}
     config = use_double_precision(rust.load_config(experiment, changes))
     crate, (scenario, start) = rust.fly(config), changeable(config)
-    rounded = replay_rounded(config, crate)
+    rounded = replay_rounded(config, crate, crate)
 
     def refused(twin: Scenario) -> list[str]:
         ticks, rows = compare_ticks(crate, fly_as(twin, start, crate), rounded)

@@ -1,4 +1,4 @@
-//! What the law may use in a tick: as configured, or as the guard allows.
+//! What the law may use in a tick: as configured, or as the detectors allow.
 
 use super::law::attitude::MomentumGains;
 use crate::robot::RobotModel;
