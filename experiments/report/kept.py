@@ -242,20 +242,11 @@ def _legend(kept: Kept, headings: Sequence[str]) -> str:
 
 
 def _summary(summary: Any) -> Iterator[str | list[Sequence[str]]]:
-    """Yield a text as it is, and figures as tables: one of plain ones, one for cases with the same figures.
-
-    The cases of a study are nested tables, or the first part of the names: `fine mesh: drag [m2]`.
-    """
+    """Yield a text as it is, and figures as tables: one of plain ones, one for cases with the same figures."""
     if isinstance(summary, str):
         yield summary
         return
-    cases: dict[str, dict[str, Any]] = {"": {}}
-    for key, value in (summary or {}).items():
-        if isinstance(value, Mapping):
-            cases.setdefault(str(key), {}).update(value)
-        else:
-            case, _, figure = str(key).rpartition(": ")
-            cases.setdefault(case, {})[figure] = value
+    cases = cases_of(summary)
     if plain := cases.pop(""):
         yield [("figure", "value"), *((key, _plain(value)) for key, value in plain.items())]
     by_figures: dict[tuple[str, ...], list[str]] = {}
@@ -263,6 +254,21 @@ def _summary(summary: Any) -> Iterator[str | list[Sequence[str]]]:
         by_figures.setdefault(tuple(figures), []).append(case)
     for columns, names in by_figures.items():
         yield [("case", *columns), *((case, *map(_plain, cases[case].values())) for case in names)]
+
+
+def cases_of(summary: Mapping[str, Any] | None) -> dict[str, dict[str, Any]]:
+    """Return the figures of a study by case, those without case under "".
+
+    The cases are nested tables, or the first part of the names: `fine mesh: drag [m2]`.
+    """
+    cases: dict[str, dict[str, Any]] = {"": {}}
+    for key, value in (summary or {}).items():
+        if isinstance(value, Mapping):
+            cases.setdefault(str(key), {}).update(value)
+        else:
+            case, _, figure = str(key).rpartition(": ")
+            cases.setdefault(case, {})[figure] = value
+    return cases
 
 
 def _plain(value: Any) -> str:

@@ -1,0 +1,94 @@
+"""Tables of pages say what their sources hold; a wrong name, unit or table is refused with its line."""
+
+from pathlib import Path
+
+import pytest
+
+from experiments import Refused
+from experiments.report import blocks, kept
+from experiments.report.judge import AGREES, Finding
+from tests.units.test_kept import made_up
+
+
+@pytest.fixture
+def page(monkeypatch, tmp_path):
+    """What a block makes of these lines, beside a kept sweep and a kept study."""
+    monkeypatch.setattr(kept, "FOLDER", tmp_path)
+    monkeypatch.setattr(blocks.judge, "read", lambda _: {"test1": Finding("32.9°", AGREES)})
+    study = {
+        "coarse: drag [m2]": 0.24013,
+        "coarse: error": 0.31,
+        "fine: drag [m2]": 0.2,
+        "fine: error": 0.1,
+        "cases": 2,
+    }
+    for document in (made_up(), made_up(name="study", rows=[], axes=[], columns=[], summary=study)):
+        (tmp_path / f"{document.name}.json").write_text(kept.to_json(document), encoding="utf-8")
+    kept.read.cache_clear()
+    yield lambda *lines: blocks.written("\n".join(["# A", "<!-- table", *lines, "-->", "<!-- end -->"]), Path("a.md"))
+    kept.read.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("asks", "rows"),
+    [
+        (
+            'kept = "made_up"\nrows = { speed = "10 m/s" }\ncolumns = ["completed", "rotation_deg_worst"]',
+            "| controller | completed | rotation error, greatest [°] |\n|---|---|---|\n| a | 2 of 2 | 4.0 |\n| b | 0 of 2 | |",
+        ),
+        (
+            'kept = "made_up"\nrows = { controller = { ours = "b", theirs = "a" } }\nacross = "speed"\n'
+            'columns = ["completed + descended"]',
+            "| controller | 0 m/s | 10 m/s |\n|---|---|---|\n| ours | 2 of 2 | 0 of 2 |\n| theirs | 2 of 2 | 2 of 2 |",
+        ),
+        (
+            'kept = "made_up"\nrows = { controller = "all" }\ncolumns = { "off by [mm]" = "com_cm_median" }\ndigits = 3',
+            "| wind speed | off by [mm] |\n|---|---|\n| 0 m/s | 20.0 |\n| 10 m/s | 20.0 |",
+        ),
+        (
+            'kept = "study"\ncolumns = { drag = "drag [m2]", "error [%]" = "error" }',
+            "| | drag [m²] | error [%] |\n|---|---|---|\n| coarse | 0.24 | 31 |\n| fine | 0.20 | 10 |",
+        ),
+        ('kept = "study"\nrows = ["cases"]', "| figure | value |\n|---|---|\n| cases | 2 |"),
+        ('claims = { "It falls" = "test1" }', "| claim | verdict |\n|---|---|\n| It falls | agrees |"),
+        (
+            'flights = ["test2"]\ncolumns = { "leans [°]" = "max_rotation_error" }',
+            "| flight | leans [°] |\n|---|---|\n| `test2` | 3.1 |",
+        ),
+        (
+            'config = "control/observer"\nrows = ["observer.gain_force"]',
+            "| key | value |\n|---|---|\n| `observer.gain_force` | 3 1/s |",
+        ),
+    ],
+)
+def test_a_table_has_what_its_source_holds(page, asks, rows):
+    text = page(asks)
+    assert f"-->\n{rows}\n<!-- end -->" in text
+    stale = text.replace("\n| ", "\n| another ")
+    assert stale != text == blocks.written(stale, Path("a.md"))
+
+
+@pytest.mark.parametrize(
+    ("asks", "reason"),
+    [
+        ('kept = "made_down"', "there is no kept result `made_down`; did you mean made_up"),
+        ('kept = "made_up"\nrows = { wind = "a" }', "there is no axis `wind`; there are controller, speed"),
+        ('kept = "made_up"\nrows = { speed = "11 m/s" }', "there is no level of speed `11 m/s`; did you mean 10 m/s"),
+        ('kept = "made_up"\ncolumns = ["complete"]', "there is no column `complete`; did you mean completed"),
+        ('kept = "made_up"\ncolumns = { "off [s]" = "com_cm_worst" }', "cm is no s"),
+        ('kept = "made_up"\nflights = ["test2"]', "a table shows kept and flights; expected one of"),
+        ('kept = "study"\nrow = 3', "unknown field `row`"),
+        ('flights = ["test22"]', "there is no experiment `test22`; did you mean"),
+        ('config = "control/observer"\nrows = ["observer.gain"]', "there is no key `gain`"),
+        ("kept = 3", "Expected `str"),
+    ],
+)
+def test_what_is_not_there_is_refused_with_its_line(page, asks, reason):
+    with pytest.raises(Refused, match="a.md:2: ") as refusal:
+        page(asks)
+    assert reason in str(refusal.value)
+
+
+def test_a_block_without_an_end_is_refused():
+    with pytest.raises(Refused, match="a.md: a table is not between"):
+        blocks.written("<!-- table\n-->\n| a |\n", Path("a.md"))
