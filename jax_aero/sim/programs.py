@@ -1,0 +1,29 @@
+"""Compiled programs, kept in the user's cache folder for the next process.
+
+JAX's own setting goes first: with `JAX_COMPILATION_CACHE_DIR`, or `jax.config.jax_compilation_cache_dir` set before
+`jax_aero.sim` is imported, programs are kept there; with `JAX_ENABLE_COMPILATION_CACHE=false` nowhere.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from pathlib import Path
+
+import jax
+
+
+def _processor() -> str:
+    """Return what tells processors apart, for which XLA compiles: a program of another one may not run on this."""
+    cpu = Path("/proc/cpuinfo")
+    lines = cpu.read_text(encoding="utf-8", errors="replace").splitlines() if cpu.is_file() else []
+    features = next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+    return f"{platform.machine()}-{hashlib.sha256(features.encode()).hexdigest()[:8]}"
+
+
+def keep_programs() -> None:
+    """Let JAX keep what it compiles for a second and longer, unless the user has said where."""
+    if jax.config.jax_compilation_cache_dir is None:
+        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(root / "jax-aero" / _processor()))

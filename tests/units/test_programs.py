@@ -1,0 +1,26 @@
+"""Compiled programs are kept where the user says, or else in the user's cache folder."""
+
+import jax
+import pytest
+
+from jax_aero.sim.programs import keep_programs
+
+
+@pytest.fixture
+def setting():
+    before = jax.config.jax_compilation_cache_dir
+    yield lambda folder: jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_programs_are_kept_in_the_users_cache_folder(setting, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    setting(None)
+    keep_programs()
+    assert jax.config.jax_compilation_cache_dir.startswith(str(tmp_path / "jax-aero"))
+
+
+def test_the_folder_that_is_given_stays(setting, tmp_path):
+    setting(str(tmp_path / "mine"))
+    keep_programs()
+    assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine")
