@@ -1,4 +1,4 @@
-"""Draw the frames that `docs/conventions.md` explains, from the robot's own files: `docs/img/frames.png`."""
+"""Draw the frames that `docs/reference.md` explains, from the robot's own files: `docs/img/frames.png`."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ SITE |= {f"rust/{crate}/src/lib.rs": f"rust/flight_{crate}/index.html" for crate
 """Pages of the site, by the file or folder of a clone that they are made from, which pages link."""
 INDEX = (
     "Questions beyond single flights, each in a folder of its own in `experiments/studies`, which can be deleted or "
-    "[copied](../howto/experiment.md#a-study). `jax-aero study NAME` answers one, `jax-aero study NAME --help` says "
+    "[copied](../experiments.md#a-study). `jax-aero study NAME` answers one, `jax-aero study NAME --help` says "
     "how; results go to `results/NAME/`."
 )
 

@@ -33,19 +33,7 @@ from jax_aero.base import places
 
 ROOT = Path(__file__).resolve().parents[1]
 
-PAGES: tuple[str, ...] = (
-    "failures.md",
-    "observer.md",
-    "ahead.md",
-    "mk3.md",
-    "ground.md",
-    "moments.md",
-    "cfd.md",
-    "training.md",
-    "deviations.md",
-    "robot.md",
-    "../README.md",
-)
+PAGES: tuple[str, ...] = ()
 """Pages whose numbers are tied, in `docs/`."""
 
 UNITS: Mapping[str, tuple[str, float]] = {

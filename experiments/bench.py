@@ -2,7 +2,7 @@
 
 All use the same states and problems, which the crate's benchmark `side_by_side` writes to `target/side_by_side`.
 They are separate compiled programs, which run in turns.
-Prints the Markdown tables of `docs/benchmarks.md`.
+Prints the Markdown tables of `docs/embedding.md`.
 """
 
 from __future__ import annotations

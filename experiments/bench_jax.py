@@ -2,7 +2,7 @@
 
 Times are per sample of a batch, in double precision unless stated, on JAX's default device; compilation is cold or from
 JAX's persistent cache. States are those of TEST2 hovering in the full wind. Prints the Markdown tables of
-`docs/benchmarks.md`.
+`docs/embedding.md`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Fly one controller through the tasks of wind-humanoid-1, beside the shipped ones.
 
-CONTROLLER is FILE.py:NAME, a function or class (docs/howto/controller.md), or a configuration: a name in
+CONTROLLER is FILE.py:NAME, a function or class (docs/own_controller.md), or a configuration: a name in
 configs/control, or a file; it flies the tasks of iRonCub-Mk3 if mk3_NAME stands beside it. With --seed N tasks of other
 random numbers are flown too, and reported beside those of the published ones.
 

@@ -1,7 +1,7 @@
 """Structures passed between modules, each for one sample; `vmap` adds the batch axis in front.
 
 SI units and radians; vectors and Jacobians are in inertial axes unless a suffix says otherwise. The axes named in
-shapes are listed in `docs/conventions.md`.
+shapes are listed in `docs/reference.md`.
 
 Equation M7 of `docs/model`.
 """

@@ -28,7 +28,7 @@ FREESTREAM_NOTE = (
     "itself is not part of this project: import it from there. These weights are this project's own result."
 )
 OPEN_NOTE = (
-    "Trained on the project's own simulations by an open solver (docs/cfd.md). Of the public free-stream table are the "
+    "Trained on the project's own simulations by an open solver (docs/air.md). Of the public free-stream table are the "
     "normal-force coefficients of the signed axisymmetric model, where the network corrects that."
 )
 OTHER_NOTE = "Trained on data that are no part of this project; `dataset` and `dataset_sha256` say which."

@@ -61,7 +61,7 @@ def options_of(version: tuple[int, ...]) -> dict[str, bool | int]:
 
 COMPILER_OPTIONS = options_of(jax.__version_info__)
 """Options for `jax.jit(..., compiler_options=COMPILER_OPTIONS)` of flights: on a CPU, XLA's older code generator for
-fused operations compiles them faster, and they run no slower (`docs/benchmarks.md`)."""
+fused operations compiles them faster, and they run no slower (`docs/embedding.md`)."""
 
 
 def run_once(function: Callable[P, Result]) -> Callable[P, Result]:

@@ -17,7 +17,7 @@ class Kinematics:
     """Pose of every body as a function of the coordinates q = (p_B, φ, s).
 
     The base has the rotation `small_turn(φ) R_B`. At φ = 0, where everything is finally evaluated, q̇ is the mixed
-    velocity ν = (v_B, ω_B, ṡ) of `docs/conventions.md` and q̈ its derivative. Derivatives are taken before φ is set to
+    velocity ν = (v_B, ω_B, ṡ) of `docs/reference.md` and q̈ its derivative. Derivatives are taken before φ is set to
     zero by `evaluate_at_base`.
     """
 

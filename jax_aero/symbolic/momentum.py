@@ -133,7 +133,7 @@ class MomentumModel:
         thrust: ArrayLike,
         wind: ArrayLike,
     ) -> Terms:
-        """Return every term at one state; arguments as in `docs/conventions.md`."""
+        """Return every term at one state; arguments as in `docs/reference.md`."""
         values = self._terms(base_position, base_rotation, joint_position, velocity, thrust, wind)
         flat = {0, 2, 4, 7, 8, 12}
         arrays = [np.array(value.full()) for value in values]

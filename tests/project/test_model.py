@@ -61,7 +61,7 @@ def test_files_and_names_of_an_equation_exist_and_cite_it(number):
 
 def test_the_architecture_page_cites_the_equations_of_every_module_of_the_core_crate():
     core = ROOT / "rust/core/src"
-    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8").replace("[", "").replace("]", "")
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").replace("[", "").replace("]", "")
     rows = dict(re.findall(r"^\| `(\w+)` \|.*\| ([^|]*) \|$", page, re.M))
     for number, text in equations().items():
         for path, _ in places(text):

@@ -25,7 +25,7 @@ from jax_aero.env_task import Task, TaskState, limit_action, observation, reward
 from jax_aero.rust import load_config
 from tests.measurements import measured
 
-EXAMPLE, EXPERIMENTS = HOME / "docs/howto/residual.py", CONFIGS / "experiments"
+EXAMPLE, EXPERIMENTS = HOME / "docs/examples/residual.py", CONFIGS / "experiments"
 
 WIND = [3.0, -9.0, 0.0]
 

@@ -1,6 +1,6 @@
 """Batches reach LAPACK a few samples at a time: jaxlib's kernels for larger ones can wait for each other for ever.
 
-The programs are made for a CPU but not compiled, so nothing can hang here; see `docs/decisions.md`.
+The programs are made for a CPU but not compiled, so nothing can hang here; see `CONTRIBUTING.md`.
 """
 
 from __future__ import annotations

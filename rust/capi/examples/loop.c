@@ -1,4 +1,4 @@
-// The controller in a periodic loop with a deadline, as a robot's computer runs it. docs/howto/embedding.md says how to compile it.
+// The controller in a periodic loop with a deadline, as a robot's computer runs it. docs/embedding.md says how to compile it.
 //
 // Ticks as often as the configuration's time step says, and reports how long a tick takes and how many did not
 // end in time. Memory is locked and the thread scheduled by SCHED_FIFO where the system allows it. The robot is the

@@ -1,5 +1,5 @@
 // The controller in one process, the simulated robot in another: UDP on loopback, paced by the clock. Then the same flight in one
-// process. docs/howto/realtime.md says how to compile it, and what was measured.
+// process. docs/embedding.md says how to compile it, and what was measured.
 //
 // The robot sends a measurement at each tick, and its joints at each tick of the torques (controller.torque.steps), and waits
 // for the answer until the next one is due; what has not arrived by then is lost, and the last command acts.

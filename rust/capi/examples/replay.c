@@ -1,4 +1,4 @@
-// A recorded flight through the tick of a controller, open loop: its commands act on nothing. docs/howto/logs.md says how to compile it.
+// A recorded flight through the tick of a controller, open loop: its commands act on nothing. docs/logs.md says how to compile it.
 //
 // replay CONFIGURATION LOG.csv     the log as `jax-aero export --csv` writes it: a row is a tick, an empty cell is missing
 //

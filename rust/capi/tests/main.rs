@@ -549,7 +549,7 @@ fn numbers(line: &str) -> Vec<f64> {
 /// The command of the documentation, which shows what it prints. Times differ between machines.
 #[test]
 fn the_loop_in_c_prints_what_the_documentation_shows() {
-    let page = std::fs::read_to_string(Path::new(HERE).join("../../docs/howto/embedding.md")).unwrap();
+    let page = std::fs::read_to_string(Path::new(HERE).join("../../docs/embedding.md")).unwrap();
     let (_, ticks) = page.split_once("target/loop configs/experiments/test2_observer.toml ").unwrap();
     let (ticks, _) = ticks.split_once('\n').unwrap();
     let path = config("test2_observer");

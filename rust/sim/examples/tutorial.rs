@@ -1,4 +1,4 @@
-//! The tutorial of the documentation, `docs/tutorial/rust.md`, as a program.
+//! The tutorial of the documentation, `docs/tutorial.md`, as a program.
 //!
 //! ```text
 //! cargo run --release --example tutorial

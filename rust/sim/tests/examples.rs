@@ -19,7 +19,7 @@ mod tutorial;
 #[test]
 fn the_tutorial_prints_what_its_page_shows() {
     tutorial::main().unwrap();
-    let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/tutorial/rust.md");
+    let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/tutorial.md");
     let page = std::fs::read_to_string(page).unwrap();
     let (_, shown) = page.split_once("```text\n").unwrap();
     let (shown, _) = shown.split_once("```").unwrap();

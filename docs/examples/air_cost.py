@@ -38,7 +38,7 @@ def seconds(function, *arguments):
 
 def main():
     """Print a row for each number of worlds."""
-    model = mujoco.MjModel.from_xml_path("docs/howto/humanoid.xml")
+    model = mujoco.MjModel.from_xml_path("docs/examples/humanoid.xml")
     declared = list(links(model))
     print(f"| worlds | step | air on {len(declared)} links | |\n|---|---|---|---|")
     for count in (1, 64, 1024):
