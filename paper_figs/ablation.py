@@ -39,7 +39,7 @@ def draw(sweep: Sweep) -> Figure:
     groups = _groups(sweep.cells, [part for part in split if part is not None])
     sweep.require(len(groups) <= len(SERIES), f"at most {len(SERIES)} combinations of all axes but the last")
     figure = _curves(sweep, axis, groups) if sweep.is_numeric(axis) else _levels(sweep, axis, groups)
-    style.footnote(figure, f"{sweep.footnote()}; errors: {sweep.spread}")
+    style.footnote(figure, sweep.footnote())
     return figure
 
 
@@ -55,13 +55,16 @@ def _groups(cells: pd.DataFrame, axes: Sequence[dict[str, Any]]) -> list[tuple[s
     return found
 
 
-def spread(cells: pd.DataFrame, figure: str | None) -> tuple[str, Any, Any, Any]:
-    """Return label, centre, lower and upper end of a figure of merit for each cell; without one, of the share."""
+def spread(cells: pd.DataFrame, figure: str | None, said: str) -> tuple[str, Any, Any, Any]:
+    """Return label, centre, lower and upper end of a figure of merit for each cell; without one, of the share.
+
+    `said` is what centre and ends of a figure of merit are.
+    """
     if figure is None:
         share = 100.0 * cells["upright"] / cells["flights"].clip(lower=1)
         return UPRIGHT, share, 100.0 * cells["upright_low"], 100.0 * cells["upright_high"]
     centre, low, high = (shown_figure(figure, cells, end) for end in ("median", "p10", "p90"))
-    return centre.text, centre.values, low.values, high.values
+    return f"{centre.text},\n{said}", centre.values, low.values, high.values
 
 
 def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
@@ -72,7 +75,7 @@ def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
     offsets = (np.arange(len(groups)) - (len(groups) - 1) / 2.0) * (0.66 / max(len(groups), 1))
     for axes, of in zip(row, (None, *sweep.of), strict=True):
         for (label, cells), offset, (colour, marker, _) in zip(groups, offsets, SERIES[: len(groups)], strict=True):
-            title, centre, low, high = spread(cells, of)
+            title, centre, low, high = spread(cells, of, sweep.spread)
             place = np.array([labels.index(name) for name in cells[axis["name"]]]) + offset
             axes.hlines(place, low, high, color=colour, linewidth=1.4)
             axes.plot(centre, place, marker, color=colour, markersize=3.8, label=label)
@@ -95,7 +98,7 @@ def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
     steps = _is_geometric(values)
     for axes, of in zip(row, (None, *sweep.of), strict=True):
         for (label, cells), (colour, marker, dash) in zip(groups, SERIES[: len(groups)], strict=True):
-            title, centre, low, high = spread(cells, of)
+            title, centre, low, high = spread(cells, of, sweep.spread)
             axes.fill_between(cells[axis["name"]], low, high, color=colour, alpha=0.16, linewidth=0)
             axes.plot(cells[axis["name"]], centre, dash, marker=marker, color=colour, markersize=3.5, label=label)
         axes.set_ylabel(title)

@@ -1,8 +1,9 @@
 """Fig. 6: the ground experiments, a to f in a frontal and g to l in a lateral measured wind; the true wind is zero.
 
-a, g  wind    b, h  total aerodynamic force assumed by the controller    c, i  CoM, from its place at the start
+a, g  wind    b, h  total aerodynamic force assumed by the controller    c, i  CoM, from its place before the wind
 d, j  joints of the left leg    e, k  their commanded torques    f, l  torques on the joints
-Pale lines: the real robot's record (`configs/records`), whose lateral run has no CoM.
+Pale lines: the real robot's record (`configs/records`). It has no CoM of the lateral run: that is our model's, with the
+recorded joints.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from paper_figs import panels, style
 RECORDS = {"balancing_front": "standing_front_2", "balancing_lateral": "standing_lateral"}
 """The record of the run of a name, and of one that begins with it."""
 PALE: dict[str, Any] = {"alpha": 0.4, "linewidth": 1.8}
+
+CALM = (4.0, 9.0)
+"""Time before the wind [s]."""
 
 LEG = (
     ("hip_pitch", style.VERMILION, "-"),
@@ -48,21 +52,20 @@ def _experiment(figure: FigureBase, run: xr.Dataset, letters: str) -> None:
     style.title(figure, run.attrs["title"] + (" (pale: the real robot)" if record else ""), size=8.5)
     grid = figure.subplots(2, 3, sharex=True)
     com = flown["com_position"]
-    moved = com.attrs | {"label": "CoM, from the start", "shown": "mm"}
+    moved = com.attrs | {"label": "CoM displacement", "shown": "mm"}
     panels.components(grid[0, 0], flown["measured_wind"])
     panels.components(grid[0, 1], flights.aero_force(flown, of_controller=True))
-    panels.components(grid[0, 2], (com - com.isel(time=0)).assign_attrs(moved))
+    panels.components(grid[0, 2], (com - com.sel(time=slice(*CALM)).mean("time")).assign_attrs(moved))
     for axes, name in zip(grid[1], ("joint_position", "joint_torque", "joint_torque_measured"), strict=True):
         _leg(axes, flown[name])
     if record:
+        calm = (record["time"] >= CALM[0]) & (record["time"] <= CALM[1])
         air = [name for name in record if name.startswith("air/")]
         record |= {
             f"force_{a}": np.sum([record[name] for name in air if name.endswith(f"/{a}")], axis=0) for a in "xyz"
         }
         record |= {
-            f"moved_{a}": shown(moved, record[f"com_{a}"] - record[f"com_{a}"][0]).values
-            for a in "xyz"
-            if "com_x" in record
+            f"moved_{a}": shown(moved, record[f"com_{a}"] - record[f"com_{a}"][calm].mean()).values for a in "xyz"
         }
         for axes, prefix in zip(grid[0], ("wind_", "force_", "moved_"), strict=True):
             _pale(axes, record, {prefix + axis: colour for axis, colour in style.AXES_COLOURS.items()})
@@ -92,8 +95,9 @@ def _record(name: str) -> dict[str, Any]:
     from jax_aero.base.parquet import read_table
 
     found = next((record for start, record in RECORDS.items() if name.startswith(start)), None)
-    table = None if found is None else read_table(places.CONFIGS / "records" / f"{found}.parquet")
-    return {} if table is None else {column: table[column].to_numpy() for column in table.column_names}
+    files = [] if found is None else [places.CONFIGS / "records" / f"{found}{part}.parquet" for part in ("", "_com")]
+    tables = [read_table(path) for path in files if path.is_file()]
+    return {column: table[column].to_numpy() for table in tables for column in table.column_names}
 
 
 def _pale(axes: Axes, record: dict[str, Any], colours: dict[str, str]) -> None:

@@ -12,7 +12,7 @@ from paper_figs.ablation import SERIES, legend
 from paper_figs.sweeps import Sweep
 
 TIMED = re.compile(r"(?P<kind>.+), (?P<time>[\d.]+) s")
-"""Label of a mission: those of one kind are joined by a line."""
+"""Label of a mission: those of one kind have one colour."""
 
 
 def draw(sweep: Sweep) -> Figure:
@@ -28,7 +28,7 @@ def draw(sweep: Sweep) -> Figure:
     figure = style.figure(2.9)
     row = figure.subplots(1, len(panel["levels"]), sharex=True, sharey=True, squeeze=False)[0]
     for axes, fault in zip(row, panel["levels"], strict=True):
-        for kind, (colour, marker, dash) in zip(kinds, SERIES, strict=False):
+        for kind, (colour, marker, _) in zip(kinds, SERIES, strict=False):
             points = [
                 (float(found["time"]), *counts.loc[(fault, level)])
                 for level, found in timed.items()
@@ -37,11 +37,11 @@ def draw(sweep: Sweep) -> Figure:
             times, shares = zip(*((time, share(upright, flights)) for time, flights, upright in points), strict=True)
             middles, *ends = zip(*shares, strict=True)
             axes.vlines(times, *ends, color=colour)
-            axes.plot(times, middles, dash, marker=marker, color=colour, markersize=4, label=kind)
+            axes.plot(times, middles, marker, color=colour, markersize=4, label=kind)
         axes.set_title(fault, fontsize=7.5)
-        axes.set_xlabel("time [s]")
+        axes.set_xlabel("duration of the mission [s]")
     row[0].set_ylabel(SHARE.replace(", ", ",\n"))
     row[0].set_ylim(-2.0, 102.0)
     legend(figure, row[0], sweep.title, len(kinds))
-    style.footnote(figure, f"{counts['flights'].max()} flights a point; {sweep.footnote()}")
+    style.footnote(figure, f"{counts['flights'].max()} flights a point, {sweep.footnote().rpartition(', ')[2]}")
     return figure

@@ -11,7 +11,7 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
 from paper_figs import style
-from paper_figs.sweeps import Sweep, axis_label, shown_figure
+from paper_figs.sweeps import Sweep, axis_label, level_label, shown_figure
 
 MOST = {"max_rotation_error_deg": 90.0, "max_com_error": 100.0}
 """Greatest values of the colours; those of other figures of merit have none."""
@@ -28,7 +28,7 @@ def draw(sweep: Sweep) -> Figure:
     figure = style.figure(2.35 * rows + 0.4)
     grid = figure.subplots(rows, len(levels), sharex=True, sharey=True, squeeze=False)
     for row, of in enumerate((None, *sweep.of)):
-        title, values, most = "flights that complete or come down", sweep.cells["upright"], sweep.cells["flights"].max()
+        title, values, most = "flights completed or landed", sweep.cells["upright"], sweep.cells["flights"].max()
         if of is not None:
             worst = shown_figure(of, sweep.cells, "worst")
             title, values = f"worst {worst.text.removeprefix('max ')}", worst.values
@@ -39,7 +39,7 @@ def draw(sweep: Sweep) -> Figure:
             axes = grid[row, column]
             image = _map(axes, cells, (down["name"], across["name"]), float(most), is_error=of is not None)
             if row == 0 and panel is not None:
-                axes.set_title(level)
+                axes.set_title(level if column else level_label(panel, level))
             if column == 0:
                 axes.set_ylabel(axis_label(down))
         figure.colorbar(image, ax=grid[row, :].tolist(), label=title, pad=0.01, ticks=MaxNLocator(integer=True))
@@ -47,8 +47,7 @@ def draw(sweep: Sweep) -> Figure:
         for axes in grid[-1]:
             axes.tick_params(axis="x", rotation=90)
     grid[-1, 0].set_xlabel(axis_label(across), loc="left")  # once: beside each other labels overlap
-    columns = "" if panel is None else f"; columns: {panel['label']}"
-    style.title(figure, sweep.title + columns)
+    style.title(figure, sweep.title)
     n, least = sweep.cells["flights"].max(), _least_share(sweep.cells)
     style.footnote(figure, f"{sweep.footnote()}; a cell of {n} of {n} stands for at least {least:.0f} % (Wilson 95 %)")
     return figure

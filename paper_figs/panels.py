@@ -41,6 +41,7 @@ def joint_errors(axes: Axes, run: xr.Dataset) -> None:
     for group, colour in zip(errors["group"].values.tolist(), cycle(style.GROUP_COLOURS), strict=False):
         dash = "--" if "right" in readable_name(group) else "-"
         line(axes, errors.sel(group=group), dash, color=colour, label=readable_name(group))
+    axes.set_ylabel(axes.get_ylabel().replace(", ", ",\n"))
     axes.set_ylim(bottom=0.0)
 
 

@@ -73,7 +73,7 @@ class Sweep:
                 "Change the sweep's file and repeat the sweep: it flies nothing again"
             )
 
-    spread = "median and 10 to 90 % of the flights"
+    spread = "median, 10 to 90 % of flights"
     """What the centres and intervals of errors are."""
 
     def footnote(self) -> str:

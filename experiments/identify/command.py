@@ -290,7 +290,8 @@ def _excite(given: argparse.Namespace) -> None:
     folder = places.RESULTS / "identify" / (given.named or f"excite_{'_'.join(axes)}")
     with complete_folder(folder, replace=given.overwrite) as draft:
         excite.write(draft / "excite.csv", excite.reference_of(config, axes, *excite.SPAN))
-        mission = {"base": str(experiment.resolve()), **changes, "mission": {"file": "excite.csv"}}
+        none = dict.fromkeys((name for name, given in config["mission"].items() if given and name != "file"), ())
+        mission = {"base": str(experiment.resolve()), **changes, "mission": {"file": "excite.csv", **none}}
         text = plain.toml(mission | {"simulator": {"duration": excite.SPAN[1] + 2.0}})
         (draft / "excite.toml").write_text(text + "\n", encoding="utf-8")
     print(f"fly it: jax-aero fly {folder / 'excite.toml'}")

@@ -38,7 +38,7 @@ class KeptSweep(Sweep):
 
     kept: Kept
 
-    spread = "median to 90 %"
+    spread = "median to 90 % of flights"
 
     @cached_property
     def cells(self) -> pd.DataFrame:

@@ -58,7 +58,9 @@ def joint_error_sums(flight: xr.Dataset) -> xr.DataArray:
     for column, group in enumerate(groups):
         sums[:, column] = errors.values[:, group_of == group].sum(axis=1)
     coords = {"time": flight["time"], "group": groups}
-    return xr.DataArray(sums, coords, ("time", "group"), attrs=_as("max_joint_error_sum", "sum of joint errors"))
+    return xr.DataArray(
+        sums, coords, ("time", "group"), attrs=_as("max_joint_error_sum", "joint errors, sum over a limb")
+    )
 
 
 def aero_force(flight: xr.Dataset, *, of_controller: bool = False) -> xr.DataArray:

@@ -112,6 +112,12 @@ def letter_row(
     left, right = letters // 2, letters // 2 + pixels_per_metre
     draw.rectangle((left, lower - 1, right, lower + 1), fill=INK)
     text(draw, (right + letters // 2, lower), "1 m", letters, INK, "lm")
+    right = joined.width - letters // 2
+    for words, colour in (("path", drawing.TRAIL), ("reference", drawing.REFERENCE)):
+        text(draw, (right, lower), words, letters, INK, "rm")
+        right -= int(font(letters).getlength(words)) + letters // 2
+        draw.rectangle((right - 2 * letters, lower - 1, right, lower + 1), fill=colour)
+        right -= 3 * letters
     _bar(draw, joined.size, time / end)
     return np.asarray(joined)
 

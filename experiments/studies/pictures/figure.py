@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Circle, FancyArrow, Polygon, Rectangle
 
 from paper_figs import style
@@ -20,17 +23,28 @@ CENTRE = 1.9
 LEAN, TURN = 45.0, 40.0
 """Angle of attack and sideslip in the drawing [deg]."""
 
+REACH = 0.85
+"""Length of the lines between which an angle is drawn [m]."""
+
 Array = npt.NDArray[np.float64]
 
 
 def flight(study: xr.Dataset) -> Figure:
-    """Show the flight: forces and wind as arrows, exhausts as cones, set-point of the CoM as a cross."""
+    """Show the flight: forces and wind as arrows, thrusts as cones, set-point of the CoM as a cross."""
     picture = study["flight"].values
     figure = style.figure(4.8 * picture.shape[0] / picture.shape[1], width=4.8)
     axes = figure.subplots()
     axes.imshow(picture)
     axes.set_axis_off()
     axes.set_title(str(study["flight"].attrs["long_name"]))
+    keys = {
+        "wind": style.SKY,
+        "aerodynamic force on a link": style.BLUE,
+        "thrust": style.ORANGE,
+        "set-point of the CoM": style.GREEN,
+    }
+    handles = [Line2D([], [], color=colour, linewidth=4, label=label) for label, colour in keys.items()]
+    figure.legend(handles=handles, loc="outside lower left", ncols=len(keys), columnspacing=1.0)
     return figure
 
 
@@ -49,26 +63,40 @@ def postures(study: xr.Dataset) -> Figure:
 
 
 def setup(study: xr.Dataset) -> Figure:
-    """Draw the robot on pylon and balance in the test section: from its left with α, from above with β."""
+    """Draw the robot on pylon and balance: from its left, upright and pitched; from above, ahead and yawed (pale)."""
     spans = np.stack([study["link_start"].values, study["link_end"].values], axis=1)
     widths = study["link_diameter"].values
-    figure = style.figure(3.7)
-    side, top = figure.subplots(1, 2)
-    for lean, colour in ((LEAN, style.LIGHT), (90.0, style.BLUE)):
-        _robot(side, _turn_points(spans, lean, 0.0) + np.array([0.0, 0.0, CENTRE]), widths, (0, 2), colour)
+    figure = style.figure(4.0)
+    side, top = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
+    up, base = np.array([0.0, 0.0, CENTRE]), np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+    for axes, centre, plane, axis, turned, marked in (
+        (side, up, (0, 2), base[0], (LEAN, 0.0), "90° − α"),
+        (top, np.zeros(3), (0, 1), base[1], (90.0, TURN), "β"),
+    ):
+        ways = []
+        for angles, colour in ((turned, style.LIGHT), ((90.0, 0.0), style.BLUE)):
+            _robot(axes, _turn_points(spans, *angles) + centre, widths, plane, colour)
+            ways.append(_turn_points(axis, *angles)[list(plane)])
+            end = centre[list(plane)] + REACH * ways[-1]
+            axes.plot(*np.transpose([centre[list(plane)], end]), color=style.BLACK, linewidth=0.7, linestyle="--")
+        _angle(axes, centre[list(plane)], ways, marked)
     _support(side)
-    side.add_patch(Arc((0.0, CENTRE), 1.5, 1.5, theta1=90.0, theta2=180.0 - LEAN, color=style.BLACK))
-    side.text(-0.42, CENTRE + 0.83, "90° − α", ha="center", fontsize=7.5)
-    for turn, colour in ((TURN, style.LIGHT), (0.0, style.BLUE)):
-        _robot(top, _turn_points(spans, 90.0, turn), widths, (0, 1), colour)
-    top.add_patch(Arc((0.0, 0.0), 1.3, 1.3, theta1=180.0, theta2=180.0 + TURN, color=style.BLACK))
-    top.text(-0.85, -0.3, "β", ha="center", fontsize=7.5)
     top.add_patch(Circle((0.0, 0.0), 0.9, fill=False, linestyle=":", color=style.GREY))
-    top.text(0.0, 0.95, "turntable", ha="center", fontsize=7)
-    _section(side, (-2.2, 0.0), HEIGHT, f"{HEIGHT:g} m high", ("x", "z"), "from its left")
-    _section(top, (-2.2, -0.5 * WIDTH), WIDTH, f"{WIDTH:g} m wide", ("x", "y"), "from above")
+    top.text(0.0, -1.05, "turntable", ha="center", fontsize=8)
+    _scene(side, (-1.5, 1.75), (-0.1, 3.1), ("x", "z"), f"from the left: pitched by {90.0 - LEAN:g}° (pale)")
+    _scene(top, (-1.5, 1.5), (-1.6, 1.6), ("x", "y"), f"from above: yawed by {TURN:g}° (pale)")
     style.letters((side, top))
+    style.footnote(figure, f"test section: {WIDTH:g} m wide, {HEIGHT:g} m high")
     return figure
+
+
+def _angle(axes: Axes, centre: Array, ways: Sequence[Array], text: str) -> None:
+    """Draw the angle between two directions, with its name."""
+    begin, end = sorted(np.degrees(np.arctan2(way[1], way[0])) % 360.0 for way in ways)
+    axes.add_patch(Arc((centre[0], centre[1]), 1.8 * REACH, 1.8 * REACH, theta1=begin, theta2=end, color=style.BLACK))
+    middle = np.radians(0.5 * (begin + end))
+    x, y = centre + 1.05 * REACH * np.array([np.cos(middle), np.sin(middle)])
+    axes.text(x, y, text, ha="center", va="center")
 
 
 def _turn_points(spans: Array, lean_deg: float, turn_deg: float) -> Array:
@@ -104,24 +132,23 @@ def _support(axes: Axes) -> None:
         ("strut", (0.3, 1.78), (0.95, 1.9)),
         ("turntable, yaws", (0.8, 0.02), (0.95, 0.3)),
     ):
-        axes.annotate(text, point, at, fontsize=7, va="center", arrowprops={"arrowstyle": "-", "lw": 0.6})
+        axes.annotate(text, point, at, fontsize=8, va="center", arrowprops={"arrowstyle": "-", "lw": 0.6})
 
 
-def _section(
-    axes: Axes, corner: tuple[float, float], across: float, size: str, names: tuple[str, str], title: str
+def _scene(
+    axes: Axes, across: tuple[float, float], up: tuple[float, float], names: tuple[str, str], title: str
 ) -> None:
-    axes.add_patch(Rectangle(corner, 4.6, across, fill=False, color=style.BLACK))
-    left, low = corner
-    axes.text(left + 0.1, low + across - 0.22, size, fontsize=7)
-    middle = low + 0.62 * across
-    for shift in (-0.5, 0.0, 0.5):
-        axes.add_patch(FancyArrow(left + 0.1, middle + shift, 0.45, 0.0, width=0.02, head_width=0.1, color=style.SKY))
-    axes.text(left + 0.1, middle + 0.65, "air", fontsize=7, color=style.BLUE)
-    origin = (left + 0.3, low + 0.25)
-    for name, way in zip(names, ((0.5, 0.0), (0.0, 0.5)), strict=True):
-        axes.add_patch(FancyArrow(*origin, *way, width=0.015, head_width=0.09, color=style.VERMILION))
-        axes.text(origin[0] + 1.4 * way[0], origin[1] + 1.35 * way[1], name, fontsize=7.5, ha="center", va="center")
-    axes.set(xlim=(left - 0.1, left + 4.7), ylim=(low - 0.1, low + across + 0.1), aspect="equal", title=title)
+    """Draw wind and axes, and set the limits."""
+    left, low, high = across[0], *up
+    for shift in (-0.25, 0.0, 0.25):
+        axes.add_patch(FancyArrow(left, high - 0.7 + shift, 0.4, 0.0, width=0.02, head_width=0.1, color=style.SKY))
+    axes.text(left, high - 0.3, "wind", color=style.BLUE)
+    origin = np.array([left + 0.1, low + 0.2])
+    for name, way in zip(names, np.eye(2), strict=True):
+        axes.add_patch(FancyArrow(*origin, *(0.35 * way), width=0.015, head_width=0.09, color=style.VERMILION))
+        x, y = origin + 0.58 * way
+        axes.text(x, y, name, ha="center", va="center")
+    axes.set(xlim=across, ylim=up, aspect="equal", title=title)
     axes.set_axis_off()
 
 
