@@ -100,7 +100,7 @@ def test_joint_errors_are_summed_by_group_and_shown_in_degrees(made_up_results):
     np.testing.assert_allclose(errors.sel(group="torso"), torso)
     shown = shown_array(errors)
     np.testing.assert_allclose(shown.values.sel(group="torso"), np.degrees(torso))
-    assert shown.text == "sum of joint errors [deg]"
+    assert shown.unit == "deg"
     assert flights.joint_error_sums(run.isel(joint=[])).shape == (run.sizes["time"], 0)
 
 
