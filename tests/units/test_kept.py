@@ -1,4 +1,4 @@
-"""Kept results: rows of flights pooled over any axis, the page that shows them, and numbers in prose tied to them."""
+"""Kept results: rows of flights pooled over any axis, and the page that shows them."""
 
 import hashlib
 
@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from docs import ties
 from experiments import Refused, manifest
 from experiments.report import keep, kept, pictures
 from experiments.report.judge import AGREES, Finding
@@ -205,81 +204,3 @@ def test_a_picture_has_the_figures_of_the_table(folder):
     assert cell["rotation_error_deg_median"] == pytest.approx(3.5)
     assert cell["com_error_worst"] == pytest.approx(0.02)
     assert (cell["flights"], cell["completed"], len(sweep.cells)) == (2, 2, 4)
-
-
-# --- ties
-
-
-@pytest.fixture
-def wrong(monkeypatch, tmp_path):
-    """What is wrong with a text whose numbers have these cells."""
-    claims = {"k": Finding("2 of 8 lost; error 1.5, 2.5°", AGREES)}
-    document = made_up(summary={"drag [m2]": 0.2401, "share": 0.31}, claims=claims, states={"k": "It flies"})
-    (tmp_path / "made_up.json").write_text(kept.to_json(document), encoding="utf-8")
-    monkeypatch.setattr(kept, "FOLDER", tmp_path)
-    kept.read.cache_clear()
-    ties.value.cache_clear()
-    yield lambda text, cells: list(ties.loose(f"{text}\n<!-- from: {cells} -->\n"))
-    kept.read.cache_clear()
-    ties.value.cache_clear()
-
-
-CELLS = [
-    ("It leans by 1.5°, 0.026 rad.", "made_up[a|0 m/s] rotation_deg_median; [] rotation_deg_median"),
-    ("It is 2.0 cm or 20 mm off.", "made_up[a] com_cm_worst greatest; [b|0 m/s] com_cm_worst"),
-    ("4 of 4 complete, all of 2, none of 2.", "made_up[a] completed sum; [b|0 m/s] completed; [10 m/s] completed"),
-    ("At most 4.0° at 10 m/s,\nall.", "made_up[a] rotation_deg_worst greatest; [10 m/s] speed"),
-    ("Pooled: 3.5°.", "made_up[controller=all|speed=all] rotation_deg_median"),
-    ("A push of 50 N.", "made_up title"),
-    ("2 of 8 are lost, with 2.5°.", 'made_up[k] "# lost"; "error 1.5, #"'),
-    ("The drag is 0.24 m², the share 31 %.", "made_up[drag [m2]]; [share]"),
-    ("`5.5 s`, $6.6 s$, TEST2, [a link](x_7.7s.md), but 0.5 s.", "made_up[b|10 m/s] found_s"),
-    ("| wind | lean [°] |\n|---|---|\n| 0 | 1.5 |\n", "made_up[a|0 m/s] rotation_deg_median"),
-    ("A side wind of 10 m/s.", 'configs/wind/lateral_ramp.toml "velocity = [0.0, #"'),
-    ("It turns by 3.1°, 0.010 m off.", "flight[test2] max_rotation_error; [] max_com_error"),
-    ("It falls at 21.7 s.", "flight[test1_published] lost_time"),
-    ("Within 15° and 25 cm.", 'experiments/sweep/table.py "ON_COURSE_ROTATION = #" in °; "ON_COURSE_COM = #"'),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("text", "cells"), CELLS)
-def test_a_number_is_that_of_its_cell(wrong, text, cells):
-    assert wrong(text, cells) == []
-    for changed in ties.mutations(f"{text}\n<!-- from: {cells} -->\n"):
-        assert wrong(changed.partition("\n<!--")[0], cells), changed
-
-
-@pytest.mark.parametrize(
-    ("text", "cells", "reason"),
-    [
-        ("It leans by 1.6°.", "made_up[a|0 m/s] rotation_deg_median", "1.6 ° is 1.5 in"),
-        ("It leans by 1.50°.", "made_up[a|10 m/s] rotation_deg_median", "is 3.50 in"),
-        ("It takes 1.5 s.", "made_up[a|0 m/s] rotation_deg_median", "has the unit rad"),
-        ("It leans by 1.5°.", "made_up[a] rotation_deg_median", "holds 1.5, 3.5"),
-        ("It leans by 1.5°.", "made_up[c|0 m/s] rotation_deg_median", "has the level c of 0 axes"),
-        ("It leans by 1.5°.", "made_up[a|0 m/s] rotation", "names no column"),
-        ("It leans by 1.5 and 2.5°.", "made_up[a|0 m/s] rotation_deg_median", "2.5 ° has no cell"),
-        ("It leans.", "made_up[a|0 m/s] rotation_deg_median", "is a cell without a number"),
-        ("It takes 1 s.", "nothing", "names no kept result and no file"),
-        ("It takes 1 s.", "made_up[k]", "holds"),
-        ("1 of 2 complete.", "made_up[share]", "is no count"),
-        ("It falls at 1 s.", "flight[test2] lost_time", "names no figure"),
-    ],
-)
-def test_another_number_is_named(wrong, text, cells, reason):
-    (found,) = wrong(text, cells)
-    assert reason in found
-
-
-def test_a_number_without_a_cell_is_named_with_its_line():
-    page = "# Page of 3 s\n\nNo number.\n\nIt takes 1.5 s\nor longer.\n\n<!-- a comment of 9 s -->\n"
-    assert list(ties.loose(page)) == ["line 5: 1.5 s has no cell"]
-    assert list(ties.loose(page.replace("longer.", "longer. <!-- from: paper -->"))) == []
-
-
-def test_numbers_are_written_as_their_cells_hold_them(wrong):
-    cells = (
-        'made_up[a] completed sum; [a|0 m/s] rotation_deg_median; configs/wind/lateral_ramp.toml "velocity = [0.0, #"'
-    )
-    page = f"All of 7 complete, within 3.26° in 12 m/s. <!-- from: {cells} -->"
-    assert ties.written(page) == f"All of 4 complete, within 1.50° in 10 m/s. <!-- from: {cells} -->"
