@@ -45,7 +45,9 @@ SITE = {
     "experiments/report/paper.py": "paper.md",
     "configs/schema": schema.PAGE,
     "experiments/sweep/columns.py": columns.PAGE,
+    "docs/results": "results/index.md",
 } | {f"docs/notebooks/{path.name}": f"notebooks/{path.stem}.md" for path in NOTEBOOKS}
+SITE |= {f"docs/results/{name}.json": f"results/{name}.md" for name in kept.names()}
 SITE |= {f"rust/{crate}/src/lib.rs": f"rust/flight_{crate}/index.html" for crate in ("core", "io", "sim")}
 """Pages of the site, by the file or folder of a clone that they are made from, which pages link."""
 INDEX = (
@@ -108,6 +110,7 @@ def generated() -> dict[str, str]:
     pages["studies/index.md"] = "\n".join(
         ["# Studies", "", INDEX, "", "| `jax-aero study` | answers |", "|---|---|", *rows, ""]
     )
+    pages |= {f"results/{name}": text for name, text in kept.pages().items()}
     pages |= {f"notebooks/{path.stem}.md": notebook(path) for path in NOTEBOOKS}
     return pages | {f"studies/{name}.md": study_page(name) for name in studies.names()}
 

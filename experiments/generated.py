@@ -1,7 +1,7 @@
 """Write every committed file that follows from others: `python -m experiments.generated`, or `make generated`.
 
-Schemas and Python types follow from the types of the configuration, pages and pictures of kept results from their
-figures, tables in pages from what they name.
+Schemas and Python types follow from the types of the configuration, pictures of kept results from their figures,
+tables in pages from what they name.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments import config_types, schema
-from experiments.report import blocks, kept, pictures
+from experiments.report import blocks, pictures
 from jax_aero.base import places
 from jax_aero.cli import REFUSED
 
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def files() -> dict[Path, str]:
     """Return the text of every generated file."""
-    return schema.files() | config_types.files() | kept.pages() | blocks.files()
+    return schema.files() | config_types.files() | blocks.files()
 
 
 def outdated(made: dict[Path, str]) -> list[Path]:

@@ -1,7 +1,7 @@
-"""Keep the figures of finished results in `docs/results/`, with the pages that show them.
+"""Keep the figures of finished results in `docs/results/`.
 
 `jax-aero report keep NAME` reads the sweep NAME, or any other result given by its folder below `results/`, such as
-`wind_observer/turbulence`, and writes NAME.json, NAME.md and, for a sweep, its picture. `--all` does so for everything
+`wind_observer/turbulence`, and writes NAME.json and, for a sweep, its picture. `--all` does so for everything
 that is kept, where its result is there; `--list` says how old each is.
 """
 
@@ -58,8 +58,6 @@ def main(arguments: Sequence[str]) -> int:
             write_text(kept.FOLDER / f"{document.name}.json", kept.to_json(document))
         kept.read.cache_clear()
         list(pictures.update())
-        for path, text in kept.pages().items():
-            write_text(path, text)
 
     return exit_status(work)
 

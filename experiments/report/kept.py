@@ -10,7 +10,6 @@ import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -24,9 +23,6 @@ from jax_aero.base.files import read_json
 from jax_aero.rust import MODES
 
 FOLDER = places.HOME / "docs" / "results"
-INDEX = "index"
-"""Name of the page that lists all kept results."""
-
 ALL = "all"
 """Level of an axis over which the flights of a row are pooled."""
 
@@ -128,11 +124,10 @@ def to_json(kept: Kept) -> str:
 # --- the page --------------------------------------------------------------------------------------------------------
 
 
-def pages() -> dict[Path, str]:
-    """Return the pages of all kept results, and the page that lists them, by path."""
+def pages() -> dict[str, str]:
+    """Return the pages of all kept results by file name, and the page that lists them."""
     rows = [(f"[{kept.name}]({kept.name}.md)", kept.title, _made(kept)) for kept in map(read, names())]
-    listed = {FOLDER / f"{INDEX}.md": markdown("kept_index.md", rows=rows)}
-    return listed | {FOLDER / f"{name}.md": page(read(name)) for name in names()}
+    return {"index.md": markdown("kept_index.md", rows=rows)} | {f"{name}.md": page(read(name)) for name in names()}
 
 
 def page(kept: Kept) -> str:
