@@ -1,4 +1,4 @@
-"""Back ends that fly a configuration: `engine = "rust"`, `"jax"` or `"mujoco"` in a file, or --engine.
+"""Back ends that fly a configuration: `backend = "rust"`, `"jax"` or `"mujoco"` in a file, or --backend.
 
 A back end computes a `rust.FlightResult` from a resolved configuration. A flight of a batch that cannot be computed is
 replaced by a `Failure`, so that it is recorded and the other flights continue.
@@ -68,16 +68,16 @@ class Backend:
 def backend(name: str) -> Backend:
     """Return the back end with this name."""
     if name not in MODULES:
-        raise Refused(f"engine = {name!r}; expected one of {', '.join(MODULES)}")
+        raise Refused(f"backend = {name!r}; expected one of {', '.join(MODULES)}")
     try:
         return Backend(name, importlib.import_module(MODULES[name]))
     except ImportError as reason:
         raise Refused(
-            f'engine = "{name}" needs `{MODULES[name]}` and the packages of the extra `twin`, which are not here '
+            f'backend = "{name}" needs `{MODULES[name]}` and the packages of the extra `twin`, which are not here '
             f"({reason})"
         ) from None
 
 
 def backend_of(config: Config) -> str:
     """Return the name of the back end of a configuration."""
-    return str(config.get("engine", "rust"))
+    return str(config.get("backend", "rust"))

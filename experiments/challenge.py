@@ -79,7 +79,7 @@ def level_of(controller: str, name: str, robot: str = "mk1", tick: float | None 
         if not path.is_file() or path.stem.startswith("mk3_") is not (robot == "mk3"):
             return None
         settings = {"controller": rust.load_controller(path)}
-    return Level(label=name, set=settings | ({} if tick is None else {"simulator.time_step": tick}))
+    return Level(label=name, set=settings | ({} if tick is None else {"controller.time_step": tick}))
 
 
 def specs(robot: str, level: Level, seed: int | None = None) -> Iterator[Spec]:

@@ -16,8 +16,8 @@ HEAD = '''"""Types of a flight's configuration, as `make generated` writes them;
 A list is a tuple, and a table of several kinds the union of a type for each: `AeroConfig` with `model = "off"` is an
 `OffAeroConfig`. `jax_aero.base.typed` fills them.
 
->>> ChannelConfig(delay=0.02)
-ChannelConfig(delay=0.02, time_constant=0.0)
+>>> FilterConfig(delay=0.02)
+FilterConfig(delay=0.02, time_constant=0.0)
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def run(
     for text in warned:
         warnings.warn(text, stacklevel=2)
     folder = out / name if out else folder_of(name)
-    identity, engine = identity_of(config), backends.backend_of(config)
+    identity, backend = identity_of(config), backends.backend_of(config)
     with lock_work(folder):
         if renew:
             overwrite = bool(identity.difference(record.read_manifest(folder) or {}))
@@ -84,7 +84,7 @@ def run(
         started = time.perf_counter()
         try:
             flight = _fly(config, name)
-        except ValueError as reason:  # an engine that does not support a setting
+        except ValueError as reason:  # a back end that does not support a setting
             raise Refused(f"{name}: {reason}") from None
         document = manifest.build(
             name,
@@ -93,7 +93,7 @@ def run(
             identity,
             summary=flight.summary,
             command=command,
-            engine=engine,
+            backend=backend,
             outcome=flight.outcome,
             lost_time=flight.lost_time,
             lost_reason=flight.lost_reason,
@@ -103,7 +103,7 @@ def run(
             wall_time_s=round(time.perf_counter() - started, 3),
         )
         dataset = record.to_dataset(
-            flight, robot, title=document["title"], config_digest=identity.digest, engine=engine
+            flight, robot, title=document["title"], config_digest=identity.digest, backend=backend
         )
         record.write_run(folder, dataset, document, replace=overwrite)
     print(os.path.relpath(folder / places.RUN_FILE))

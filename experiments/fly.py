@@ -31,7 +31,7 @@ def main(words: Sequence[str]) -> int:
         return 0 if given.list else 2
 
     def work() -> None:
-        changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
+        changes = overrides.parse([*given.set, *([f"backend={given.backend}"] if given.backend else [])])
         if given.controller:
             changes["own_controller"] = study.own_controller(given.controller)
         study.check_name(given)
@@ -70,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     row = parser.add_argument("--row", nargs=2, metavar=("SWEEP", "N"), help="one row of a sweep")
     cli.complete_with(row, lambda: places.names("sweeps"))
     parser.add_argument("--controller", metavar="FILE.py:NAME", help="a controller of your own: a function or class")
-    parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")
+    parser.add_argument("--backend", choices=sorted(MODULES), help="back end (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace an existing result")
     return parser

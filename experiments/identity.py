@@ -26,9 +26,9 @@ VERSIONS = {CRATE: rust.NUMERICS, PYTHON: numerics.NUMERICS}
 """Versions of the numbers of what computes."""
 
 
-def computed_by(engine: str) -> tuple[str, ...]:
-    """Return what computes a flight of an engine."""
-    return (CRATE,) if engine == "rust" else (CRATE, PYTHON)
+def computed_by(backend: str) -> tuple[str, ...]:
+    """Return what computes a flight of an backend."""
+    return (CRATE,) if backend == "rust" else (CRATE, PYTHON)
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Identity:
 
 def numerics_of(manifest: Mapping[str, Any]) -> dict[str, int]:
     """Return the versions of the numbers of a result; the first of one from before there were any, which names none."""
-    first = dict.fromkeys(computed_by(manifest.get("engine", "rust")), 1)
+    first = dict.fromkeys(computed_by(manifest.get("backend", "rust")), 1)
     return dict(manifest.get("numerics") or first)
 
 

@@ -28,7 +28,7 @@ def build(
     *,
     summary: Mapping[str, Any],
     command: Sequence[str],
-    engine: str,
+    backend: str,
     **more: Any,
 ) -> dict[str, Any]:
     """Return the manifest of one result, ready for JSON; `more` are entries specific to its kind."""
@@ -39,11 +39,11 @@ def build(
         "config": make_portable(config),
         **identity.facts,
         "command": shlex.join(map(_portable_word, command)),
-        "engine": engine,
+        "backend": backend,
         **more,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "git": git_state(),
-        "versions": versions(engine),
+        "versions": versions(backend),
         "device": device(),
     }
 
@@ -89,12 +89,12 @@ def _git(*arguments: str) -> str | None:
     return answer.stdout.strip()
 
 
-def versions(engine: str) -> dict[str, str]:
-    """Return the versions that a result may depend on, including that of the engine's package."""
+def versions(backend: str) -> dict[str, str]:
+    """Return the versions that a result may depend on, including that of the backend's package."""
     found = {"python": platform.python_version(), "flight-core": rust.__version__}
     for package in ("jax-aero", "numpy", "scipy", "xarray", "h5netcdf", "pyarrow"):
         found |= version_of(package) or {package: "not installed as a package"}
-    return found | version_of(engine)
+    return found | version_of(backend)
 
 
 def processors() -> int:

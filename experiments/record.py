@@ -35,7 +35,7 @@ from jax_aero.base.result import FlightResult, is_repeated, labels_of
 
 
 def to_dataset(
-    flight: FlightResult, robot: rust.Robot, *, title: str, config_digest: str, engine: str = "rust"
+    flight: FlightResult, robot: rust.Robot, *, title: str, config_digest: str, backend: str = "rust"
 ) -> xr.Dataset:
     """Return a flight's log as a dataset with dimensions, coordinates and units."""
     variables: dict[str, Any] = {}
@@ -67,7 +67,7 @@ def to_dataset(
         # NetCDF attributes have no null, so NaN and the empty text are used for a flight that was not lost.
         "lost_time": np.nan if flight.lost_time is None else flight.lost_time,
         "lost_reason": flight.lost_reason or "",
-        "engine": engine,
+        "backend": backend,
         "config_hash": config_digest,
     }
     return xr.Dataset(variables, coords, facts)

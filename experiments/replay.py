@@ -104,7 +104,7 @@ def _replay(given: argparse.Namespace) -> int:
 def replay(log: logs.Log, config: rust.Config, path: Path) -> tuple[Mapping[str, Array], Mapping[str, Array]]:
     """Return the signals of a log, and those that the controller computes from it, at the law's ticks that it holds."""
     steps = int(rust.resolve_config(config)["controller"]["torque"]["steps"])
-    period = float(config["simulator"]["time_step"]) / steps
+    period = float(config["controller"]["time_step"]) / steps
     log = _on_its_feet(log, config)
     needed = () if config["controller"].get("estimator") else ("raw_joint_velocity",)
     try:

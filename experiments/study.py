@@ -70,7 +70,7 @@ class Study(Generic[C]):
     """Function that returns `Findings`, from name and configuration, and if it `resumes` also from unfinished work."""
     names: Sequence[str]
     """Studies that are computed if none is named."""
-    engine: str = "casadi"
+    backend: str = "casadi"
     """Package that does the computation."""
     options: Sequence[str] = ()
     """Additional words of its command line."""
@@ -163,7 +163,7 @@ class Study(Generic[C]):
                 identity,
                 summary=findings.summary,
                 command=command,
-                engine=self.engine,
+                backend=self.backend,
                 sources={
                     "inputs": manifest.make_portable(inputs),
                     "flights": flights,

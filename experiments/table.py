@@ -102,7 +102,7 @@ def outcome_row(manifest: Mapping[str, Any]) -> Sequence[str]:
     """Return the cells of a flight, below `HEADINGS`."""
     summary = manifest["summary"]
     outcome = ending(manifest["outcome"], manifest["lost_time"], manifest["lost_reason"])
-    if manifest["outcome"] == "descended":
+    if manifest["outcome"] == "landed":
         outcome += f", arrives at {_number(summary, 'end_speed')} m/s"
     return (manifest["name"], outcome, *(_number(summary, name) for name in TABLED))
 

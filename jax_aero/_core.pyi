@@ -32,7 +32,7 @@ class _QpAnswer(TypedDict):
 class _FlightResult(TypedDict):
     log: dict[str, _Array]
     joint_setpoint: _Array
-    outcome: Literal["completed", "off_course", "descended", "descending", "crashed", "fell", "diverged"]
+    outcome: Literal["completed", "off_course", "landed", "landing", "crashed", "fell", "diverged"]
     lost_time: float | None
     lost_reason: str | None
     summary: dict[str, float]

@@ -3,8 +3,8 @@
 A list is a tuple, and a table of several kinds the union of a type for each: `AeroConfig` with `model = "off"` is an
 `OffAeroConfig`. `jax_aero.base.typed` fills them.
 
->>> ChannelConfig(delay=0.02)
-ChannelConfig(delay=0.02, time_constant=0.0)
+>>> FilterConfig(delay=0.02)
+FilterConfig(delay=0.02, time_constant=0.0)
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from __future__ import annotations
 from typing import Literal, TypeAlias
 
 from msgspec import Struct, field
+
+Backend: TypeAlias = Literal["rust", "jax", "mujoco"]
 
 
 class CylinderTables(Struct, frozen=True, kw_only=True):
@@ -117,6 +119,36 @@ class ContactConfig(Struct, frozen=True, kw_only=True):
     wrench: WrenchLimits
 
 
+class DisturbanceObserverConfig(Struct, frozen=True, kw_only=True):
+    force_max: float
+    gain_force: float
+    gain_moment: float
+    moment_max: float
+
+
+class FilterConfig(Struct, frozen=True, kw_only=True):
+    delay: float = 0.0
+    time_constant: float = 0.0
+
+
+class LatencyConfig(Struct, frozen=True, kw_only=True):
+    thrust: float = 0.0
+    torque: float = 0.0
+
+
+class EstimatorConfig(Struct, frozen=True, kw_only=True):
+    base_angular_velocity: FilterConfig = FilterConfig()
+    base_linear_velocity: FilterConfig = FilterConfig()
+    base_position: FilterConfig = FilterConfig()
+    base_rotation: FilterConfig = FilterConfig()
+    gyro_bias: float | None = None
+    joint_observer: float | None = None
+    joint_position: FilterConfig = FilterConfig()
+    joint_velocity: FilterConfig = FilterConfig()
+    latency: LatencyConfig = LatencyConfig()
+    thrust: FilterConfig = FilterConfig()
+
+
 class MomentumGains(Struct, frozen=True, kw_only=True):
     c0: float
     c1: float
@@ -128,7 +160,7 @@ class MomentumGains(Struct, frozen=True, kw_only=True):
 class DescentConfig(Struct, frozen=True, kw_only=True):
     joint_velocity_max_deg: float
     momentum: MomentumGains
-    range_share_min: float
+    range_fraction_min: float
     torque_rate_max: float
 
 
@@ -139,44 +171,36 @@ class EnginesConfig(Struct, frozen=True, kw_only=True):
     time_constant: float
 
 
-class ChannelConfig(Struct, frozen=True, kw_only=True):
-    delay: float = 0.0
-    time_constant: float = 0.0
-
-
-class LatencyConfig(Struct, frozen=True, kw_only=True):
-    thrust: float = 0.0
-    torque: float = 0.0
-
-
-class EstimatorConfig(Struct, frozen=True, kw_only=True):
-    base_angular_velocity: ChannelConfig = ChannelConfig()
-    base_linear_velocity: ChannelConfig = ChannelConfig()
-    base_position: ChannelConfig = ChannelConfig()
-    base_rotation: ChannelConfig = ChannelConfig()
-    gyro_bias: float | None = None
-    joint_observer: float | None = None
-    joint_position: ChannelConfig = ChannelConfig()
-    joint_velocity: ChannelConfig = ChannelConfig()
-    latency: LatencyConfig = LatencyConfig()
-    thrust: ChannelConfig = ChannelConfig()
-
-JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
-
-JetDynamics: TypeAlias = Literal["ideal", "second_order"]
-
-
 class JointsConfig(Struct, frozen=True, kw_only=True):
     confirmation: float
     displacement_min: float
-    share_max: float
+    effectiveness_max: float
     torque_min: float
 
 
-class LatencyMonitorConfig(Struct, frozen=True, kw_only=True):
+class LatencyDetectorConfig(Struct, frozen=True, kw_only=True):
     confirmation: float
     thrust_max: float
     torque_max: float
+
+
+class TrackingErrorConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float
+    horizon: float
+    joint_velocity: float
+    position: float
+    rotation: float
+
+
+class FaultDetectionConfig(Struct, frozen=True, kw_only=True):
+    engines: EnginesConfig | None = None
+    joints: JointsConfig | None = None
+    latency: LatencyDetectorConfig | None = None
+    tracking_error: TrackingErrorConfig | None = None
+
+JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
+
+JetDynamics: TypeAlias = Literal["ideal", "throttled"]
 
 LeverArm: TypeAlias = Literal["rotated", "unrotated"]
 
@@ -223,13 +247,6 @@ class MpcConfig(Struct, frozen=True, kw_only=True):
     weights: MpcWeights
 
 
-class ObserverConfig(Struct, frozen=True, kw_only=True):
-    force_max: float
-    gain_force: float
-    gain_moment: float
-    moment_max: float
-
-
 class PolicyConfig(Struct, frozen=True, kw_only=True):
     card: str
 
@@ -263,14 +280,6 @@ class ShaftConfig(Struct, frozen=True, kw_only=True):
     ramps: tuple[float, float]
     square_share: float
     temperature: float = 288.15
-
-
-class SupervisorConfig(Struct, frozen=True, kw_only=True):
-    confirmation: float
-    horizon: float
-    joint_velocity: float
-    position: float
-    rotation: float
 
 
 class TorqueConfig(Struct, frozen=True, kw_only=True):
@@ -308,23 +317,21 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     bounds: BoundsConfig
     channels: ChannelsConfig = ChannelsConfig()
     contact: ContactConfig | None = None
-    engines: EnginesConfig | None = None
+    disturbance_observer: DisturbanceObserverConfig | None = None
     estimator: EstimatorConfig | None = None
+    fault_detection: FaultDetectionConfig = FaultDetectionConfig()
     jacobian_offset: JacobianOffset = "link_rotation"
     jet_dynamics: JetDynamics = "ideal"
-    joints: JointsConfig | None = None
-    latency_monitor: LatencyMonitorConfig | None = None
     lever_arm: LeverArm = "rotated"
     link_velocity: LinkVelocity = "at_centre"
     momentum: MomentumGains
     mpc: MpcConfig | None = None
-    observer: ObserverConfig | None = None
     policy: PolicyConfig | None = None
     posture_gain: dict[str, float]
     qp: QpConfig = QpConfig()
     setpoint: SetpointConfig
     shaft: ShaftConfig | None = None
-    supervisor: SupervisorConfig | None = None
+    time_step: float
     torque: TorqueConfig
     use_jets: bool = True
     weights: MomentumWeights
@@ -455,8 +462,6 @@ class Disturbances(Struct, frozen=True, kw_only=True):
     pushes: tuple[Push, ...] = ()
     wind_estimate: WindEstimateConfig | None = None
 
-Engine: TypeAlias = Literal["rust", "jax", "mujoco"]
-
 
 class MissionConfig(Struct, frozen=True, kw_only=True):
     down: tuple[tuple[float, float], ...] = ()
@@ -529,7 +534,7 @@ class IdealJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", t
     pass
 
 
-class SecondOrderJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="second_order"):
+class ThrottledJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="throttled"):
     ekf: EkfConfig = EkfConfig()
     engines: tuple[str, ...] | None = None
     feedback: ThrustFeedback = "measured"
@@ -542,7 +547,7 @@ class MeasuredJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics"
     thrust: tuple[float, ...]
 
 
-JetsConfig: TypeAlias = IdealJetsConfig | SecondOrderJetsConfig | MeasuredJetsConfig
+JetsConfig: TypeAlias = IdealJetsConfig | ThrottledJetsConfig | MeasuredJetsConfig
 
 AeroKinematics: TypeAlias = Literal["current", "frozen"]
 
@@ -618,14 +623,13 @@ class SimulatorConfig(Struct, frozen=True, kw_only=True):
     motors: MotorsConfig | None = None
     sensors: SensorsConfig | None = None
     substeps: int = 1
-    time_step: float
 
 
 class ScenarioConfig(Struct, frozen=True, kw_only=True):
+    backend: Backend = "rust"
     controller: ControllerSection
     description: str = ""
     disturbances: Disturbances = Disturbances()
-    engine: Engine = "rust"
     mission: MissionConfig
     own_controller: OwnController | None = None
     robot: str

@@ -70,7 +70,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         n, j = len(self._robot.joint_names), len(self._robot.jet_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (21 + 2 * n + j,), np.float32)
-        self.dt = float(self._config["simulator"]["time_step"])
+        self.dt = float(self._config["controller"]["time_step"])
         self._last_tick = self.task.ticks(self.dt)
         self._begin([0.0, 0.0, 0.0])
 

@@ -17,14 +17,14 @@ from paper_figs.sweeps import Sweep
 
 KINDS = (
     ("completed", style.SKY),
-    ("descended", style.GREEN),
+    ("landed", style.GREEN),
     ("still descending", style.BLUE),
     ("off course", style.PURPLE),
     ("lost, announced", style.ORANGE),
     ("lost, less than 0.3 s before", style.BLACK),
 )
 """Names and colours of what the worst flight of a pair can be, from the best to the worst."""
-COUNTS = ("completed", "descended", "descending", "off_course", "lost", "unwarned")
+COUNTS = ("completed", "landed", "landing", "off_course", "lost", "unwarned")
 """Numbers of such flights in a cell."""
 
 

@@ -148,7 +148,7 @@ def collect(design: Design, folder: Path) -> str:
         identity,
         summary=summary,
         command=["jax-aero", KIND, design.name, *overrides.options(design.changes, design.named)],
-        engine="openfoam",
+        backend="openfoam",
         refused=refused,
         quality=quality,
         dataset=dataset.sha256,

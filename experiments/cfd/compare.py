@@ -102,7 +102,7 @@ STUDY = Study(
     CompareConfig,
     compute,
     ("open",),
-    engine="openfoam",
+    backend="openfoam",
     reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
 )
 main = STUDY.main

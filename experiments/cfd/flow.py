@@ -120,5 +120,5 @@ def to_dataset(wall: pyvista.PolyData, plane: pyvista.PolyData, lines: pyvista.P
     return xr.Dataset(found, {"xyz": ["x", "y", "z"]})
 
 
-STUDY = Study("cfd_flow", __doc__, FlowConfig, compute, ("flight30",), engine="openfoam")
+STUDY = Study("cfd_flow", __doc__, FlowConfig, compute, ("flight30",), backend="openfoam")
 main = STUDY.main

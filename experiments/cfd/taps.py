@@ -62,7 +62,7 @@ STUDY = Study(
     TapsConfig,
     compute,
     ("mk1_taps",),
-    engine="openfoam",
+    backend="openfoam",
     reads=lambda name, _: [dataset_of(name)],
 )
 main = STUDY.main

@@ -88,7 +88,7 @@ STUDY = Study(
     TunnelConfig,
     compute,
     ("open",),
-    engine="openfoam",
+    backend="openfoam",
     reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
 )
 main = STUDY.main

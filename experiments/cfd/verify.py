@@ -168,6 +168,6 @@ STUDY = Study(
     VerifyConfig,
     compute,
     ("sphere", "cylinder", "hovering"),
-    engine="openfoam",
+    backend="openfoam",
 )
 main = STUDY.main

@@ -82,7 +82,7 @@ STUDY = Study(
     FitConfig,
     compute,
     ("freestream",),
-    engine="scikit-learn",
+    backend="scikit-learn",
     reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
 )
 main = STUDY.main

@@ -128,7 +128,7 @@ def _identify(given: argparse.Namespace) -> None:
             (draft / "numbers.json").write_text(json.dumps({"sha256": digest, "numbers": rows}, indent=1) + "\n")
             _draw(robot, config, ends, numbers, draft / "held_out.png")
     print(text_table(report))
-    has_monitor = config["controller"].get("latency_monitor")
+    has_monitor = config["controller"]["fault_detection"].get("latency")
     flown = {**config, "robot": str(folder / "robot.toml"), "disturbances": {}}
     computed = rust.replay(flown, signals[0]) if has_monitor else {}
     for key, (median, deviation) in samples.latencies(computed).items():

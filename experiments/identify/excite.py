@@ -12,7 +12,7 @@ from jax_aero import rust
 from jax_aero.body.spatial import rotation_from_rpy
 
 AXES = {"x": 0.5, "y": 0.5, "z": 0.3, "roll": 8.0, "pitch": 8.0, "yaw": 20.0}
-"""Axes of a manoeuvre, with their greatest motion [m, deg], which the robot's world survives."""
+"""Axes of a manoeuvre, with their greatest motion [m, deg], which the realistic simulation survives."""
 PERIODS = (7.0, 4.3, 2.9)
 """Periods of the motion [s]; none is a multiple of another, so that axes are distinguished."""
 SPAN = (4.0, 58.0)

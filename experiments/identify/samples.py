@@ -32,7 +32,7 @@ def read(path: Path, mapping: Path | None, config: rust.Config, robot_file: str)
     Refused
         For a log that lacks a signal, or numbers of it.
     """
-    robot, period = rust.Robot(robot_file), float(config["simulator"]["time_step"])
+    robot, period = rust.Robot(robot_file), float(config["controller"]["time_step"])
     found = logs.at_ticks(logs.read(path, config, mapping, robot_file), robot, period, path).signals
     return check(found, str(path))
 

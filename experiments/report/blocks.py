@@ -195,7 +195,7 @@ def _label(column: str) -> str:
 
 
 def _figures(row: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Value]:
-    """Return the figures of a row; a count with its flights, also of several outcomes: `completed + descended`."""
+    """Return the figures of a row; a count with its flights, also of several outcomes: `completed + landed`."""
     found = {"flights": Value(row["flights"])}
     for column in row.keys() - {*axes, "flights"}:
         unit = next((UNITS[part] for part in column.split("_") if part in UNITS), None)
@@ -209,7 +209,7 @@ def _figures(row: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Value]:
 
 
 def _combined(name: str, row: Mapping[str, Any], figures: dict[str, Value]) -> None:
-    """Add a sum of counts, `completed + descended`, or a share with its Wilson interval of 95 %, `share completed`."""
+    """Add a sum of counts, `completed + landed`, or a share with its Wilson interval of 95 %, `share completed`."""
     counts = re.sub(r"^share ", "", name).split(" + ")
     if name not in figures and all(isinstance(row.get(count), int) for count in counts):
         count, flights = sum(row[count] for count in counts), row["flights"]

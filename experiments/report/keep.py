@@ -127,7 +127,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     document = read_json(folder / run.SWEEP_FILE, documents.FinishedSweep)
     if name := find_damaged(folder, document["finished"]["files"]):
         raise Refused(f"{os.path.relpath(folder / name)} is not what was written there; --overwrite flies it again")
-    if document["engine"] == "jax":
+    if document["backend"] == "jax":
         raise Refused(f"{os.path.relpath(folder)} is flown by JAX, which does not say what the guard finds")
     asked = spec.load(folder.name) if folder.name in places.names("sweeps") else None
     tabled = asked.tabled if asked else spec.Tabled()
@@ -212,7 +212,7 @@ def _rows(
 
 
 FIGURES: tuple[str, ...] = (
-    *("flights", "completed", "descended", "descending", "on_course", "off_course"),
+    *("flights", "completed", "landed", "landing", "on_course", "off_course"),
     *("lost", "crashed", "unwarned", "degraded"),
     *("rotation_deg_median", "rotation_deg_high", "rotation_deg_worst", "com_cm_median", "com_cm_high", "com_cm_worst"),
     *("found_s", "announced_s", "lost_s", "modes"),
@@ -257,7 +257,7 @@ def fly_again(document: Kept, cell: int) -> list[Any]:
     sweep = Design(spec.load(document.result.removeprefix("sweeps/")))
     if len(sweep.cells) != len(document.firsts):
         raise Refused(f"{document.name} keeps {len(document.firsts)} cells; its sweep has {len(sweep.cells)}")
-    flight = backends.backend(sweep.spec.engine).fly(sweep.row_config(cell))
+    flight = backends.backend(sweep.spec.backend).fly(sweep.row_config(cell))
     return first_of({"outcome": flight.outcome, **flight.summary})
 
 

@@ -178,8 +178,8 @@ def _labels(axes: Sequence[Axis], levels: Sequence[Any], before: Sequence[Any]) 
 
 SHARE = "share [%]"
 EXPLAINED = {
-    SHARE: "Share: of flights that completed or descended, with its Wilson 95 % interval.",
-    "rotation error [°]": "Errors: the greatest of a flight that completed or descended; median, and at most.",
+    SHARE: "Share: of flights that completed or landed, with its Wilson 95 % interval.",
+    "rotation error [°]": "Errors: the greatest of a flight that completed or landed; median, and at most.",
     "found after [s]": "Found after: median time since the failure, where half of the flights find one.",
     "announced before [s]": "Announced before: median time from the first mode to the loss.",
     "modes": "Modes: those of at least half of the flights.",
@@ -188,8 +188,8 @@ Quantity = Callable[[Mapping[str, Any]], str]
 COUNTS: dict[str, Quantity] = {
     "flights": lambda row: str(row["flights"] or ""),
     "completed": lambda row: str(row["completed"]),
-    "descended": lambda row: str(row["descended"] or ""),
-    "descending": lambda row: str(row.get("descending") or ""),
+    "landed": lambda row: str(row["landed"] or ""),
+    "landing": lambda row: str(row.get("landing") or ""),
     "off course": lambda row: str(row.get("off_course") or ""),
     "crashed": lambda row: str(row.get("crashed") or ""),
     "fell": lambda row: str(row["lost"] - row.get("crashed", 0) or ""),
@@ -215,7 +215,7 @@ def _quantities(kept: Kept) -> dict[str, Quantity]:
 
 
 def _share(row: Mapping[str, Any]) -> str:
-    done, flights = row["completed"] + row["descended"], row["flights"]
+    done, flights = row["completed"] + row["landed"], row["flights"]
     share, low, high = (f"{100.0 * x:.0f}" for x in (done / flights, *wilson(done, flights)))
     return f"{share} ({low} to {high})"
 

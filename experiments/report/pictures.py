@@ -62,7 +62,7 @@ def sweep_of(document: Kept) -> KeptSweep:
 def _cell(row: dict[str, Any], names: list[str]) -> dict[str, Any]:
     """Return a row with the columns of a table of cells."""
     cell = {name: row[name] for name in names} | {"flights": row["flights"], "completed": row["completed"]}
-    cell["upright"] = row["completed"] + row["descended"]
+    cell["upright"] = row["completed"] + row["landed"]
     for share in ("completed", "upright"):
         cell[f"{share}_low"], cell[f"{share}_high"] = wilson(cell[share], row["flights"])
     for quantity, column, factor in (("rotation_error_deg", "rotation_deg", 1.0), ("com_error", "com_cm", 0.01)):

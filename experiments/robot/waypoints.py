@@ -169,7 +169,7 @@ def reference_text(rows: Array, about: str, digits: int) -> str:
 
 def start_of(config: rust.Config) -> tuple[Array, Array, Array]:
     """Return centre of mass [m], roll, pitch and yaw [rad], and the horizontal forward direction of the first tick."""
-    simulator = {**config["simulator"], "duration": config["simulator"]["time_step"]}
+    simulator = {**config["simulator"], "duration": config["controller"]["time_step"]}
     flight = rust.fly({**config, "mission": {}, "simulator": simulator})
     axis = tables.read(Path(config["robot"])).get("forward_axis", [1.0, 0.0, 0.0])
     forward = rust.rotation_from_wxyz(flight["base_quaternion"][0]) @ np.asarray(axis, dtype=np.float64)

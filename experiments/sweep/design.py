@@ -110,7 +110,7 @@ class Design:
 
     def digest_of(self, repeats: int) -> str:
         """Return the digest of this sweep with so many repeats."""
-        numbers = [self.spec.seed, repeats, self.spec.chunk, self.spec.engine]
+        numbers = [self.spec.seed, repeats, self.spec.chunk, self.spec.backend]
         return hashlib.sha256(json.dumps(self._hashed | {"numbers": numbers}, sort_keys=True).encode()).hexdigest()
 
     @cached_property
@@ -136,9 +136,9 @@ class Design:
             with self._name_cell(cell):
                 if (first := firsts.setdefault(tuple(level.label for level in levels), cell)) < cell:
                     raise Refused(f"cell {first} has the same levels; expected each combination once")
-                if (engine := config.get("engine", self.spec.engine)) != self.spec.engine:
+                if (backend := config.get("backend", self.spec.backend)) != self.spec.backend:
                     raise Refused(
-                        f"`engine` of the flight is {engine!r}; expected {self.spec.engine!r}, as of the sweep"
+                        f"`backend` of the flight is {backend!r}; expected {self.spec.backend!r}, as of the sweep"
                     )
                 rust.check_config(config)  # unperturbed first, since only a valid one can be perturbed
                 self.perturb(config, 0)

@@ -169,7 +169,8 @@ class Perturbation(tables.Table, frozen=True):
                 bias = sensor.get("bias") or [0.0] * count
                 sensor["bias"] = np.add(bias, np.radians(around(key, [0.0] * count))).tolist()
         if self.latency:
-            actuation, step = simulator.setdefault("actuation", {}), simulator["time_step"] / simulator["substeps"]
+            actuation = simulator.setdefault("actuation", {})
+            step = config["controller"]["time_step"] / simulator["substeps"]
             for name, late in zip(("torque_delay", "thrust_delay"), around("latency", [0.0] * 2), strict=True):
                 actuation[name] = step * round(max(actuation.get(name, 0.0) + late, 0.0) / step)
         if self.friction:

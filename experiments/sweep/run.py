@@ -55,28 +55,28 @@ def _fly_chunks(
         shared = (design.spec, design.bases)
         yield from cluster.spread(_fly_remotely, shared, dict(zip(chunks, chunks, strict=True)))
         return
-    engine = backends.backend(design.spec.engine)
+    backend = backends.backend(design.spec.backend)
     for chunk in chunks:
-        yield chunk, fly_chunk(design, chunk, engine, workers, progress)
+        yield chunk, fly_chunk(design, chunk, backend, workers, progress)
 
 
 def _fly_remotely(shared: tuple[Spec, Any], chunk: range) -> Any:
     spec, bases = shared
     design = Design(spec)
     vars(design)["bases"] = bases
-    return fly_chunk(design, chunk, backends.backend(spec.engine), threads=1)
+    return fly_chunk(design, chunk, backends.backend(spec.backend), threads=1)
 
 
 def fly_chunk(
     design: Design,
     chunk: range,
-    engine: backends.Backend,
+    backend: backends.Backend,
     threads: int | None = None,
     progress: rust.Progress | None = None,
 ) -> Any:
     """Return the table of one chunk."""
     configs = [design.row_config(row) for row in chunk]
-    flown = engine.fly_batch(configs, threads, progress)
+    flown = backend.fly_batch(configs, threads, progress)
     return table.rows(design.spec, design.cells, chunk, configs, flown)
 
 
@@ -110,7 +110,7 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
             write_json(folder / SWEEP_FILE, shown_anew)
         return
     design.check()
-    backends.backend(design.spec.engine)
+    backends.backend(design.spec.backend)
     parts = dict(_read_parts(work, design.n_rows))
     if found is not None:
         whole = read_table(folder / TABLES[0])
@@ -182,14 +182,14 @@ def _document(design: Design, folder: Path) -> dict[str, Any]:
         "rows": design.n_rows,
         **identity_of(design).facts,
         "git": manifest.git_state(),
-        "versions": manifest.versions(design.spec.engine),
+        "versions": manifest.versions(design.spec.backend),
         "device": manifest.device(),
     }
 
 
 def describe(spec: Spec) -> dict[str, Any]:
     """Return the part of `SWEEP_FILE` that comes from the file of a sweep."""
-    keys = ("name", "title", "description", "drawing", "panels", "design", "seed", "repeats", "chunk", "engine")
+    keys = ("name", "title", "description", "drawing", "panels", "design", "seed", "repeats", "chunk", "backend")
     perturbation = plain.to_builtins(spec.perturbation)
     flown: dict[str, Any] = manifest.make_portable(
         {"base": spec.base, "set": dict(spec.set), "perturbation": perturbation}
@@ -208,4 +208,4 @@ def describe(spec: Spec) -> dict[str, Any]:
 
 def identity_of(design: Design, repeats: int | None = None) -> Identity:
     """Return the identity of a sweep, also with other repeats; rows of different ones must not be in one table."""
-    return Identity(design.digest_of(repeats or design.spec.repeats), computed_by(design.spec.engine))
+    return Identity(design.digest_of(repeats or design.spec.repeats), computed_by(design.spec.backend))

@@ -147,7 +147,7 @@ class Spec(tables.Table, frozen=True):
     """Number of cells of a quasi-random design."""
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     """Values by dotted key, set in every cell."""
-    engine: Literal["rust", "jax", "mujoco"] = "rust"
+    backend: Literal["rust", "jax", "mujoco"] = "rust"
     seed: tables.Seed = 1
     repeats: tables.Count = 1
     """Flights in each cell, each with its own perturbation."""

@@ -74,7 +74,7 @@ def rows(
             record |= {"outcome": "error", "error": flown.reason}
         else:
             record |= {"outcome": flown.outcome, "lost_time": flown.lost_time, "lost_reason": flown.lost_reason}
-            unknown = OF_GUARD if spec.engine == "jax" else ()
+            unknown = OF_GUARD if spec.backend == "jax" else ()
             record |= {name: x for name, x in quantities.in_columns(flown.summary).items() if name not in unknown}
         records.append(record)
     return pa.Table.from_pylist(records, schema(spec, levels))

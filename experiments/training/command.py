@@ -119,7 +119,7 @@ def _train_parts(
             "seconds_per_epoch": {one.part.name: one.errors["seconds_per_epoch"] for one in finished},
         },
         command=["jax-aero", "train", *sys.argv[2:]],
-        engine="jax",
+        backend="jax",
         dataset=dataset.sha256,
         timings_s=timings | {"this call": time.perf_counter() - started},
     )

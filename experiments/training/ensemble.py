@@ -121,7 +121,7 @@ def run(
         identity,
         summary=summary,
         command=["jax-aero", "train", *sys.argv[2:]],
-        engine="jax",
+        backend="jax",
         dataset=dataset.sha256,
         timings_s={"this call": time.perf_counter() - started},
     )

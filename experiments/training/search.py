@@ -193,7 +193,7 @@ def _write(out: Path, trials: Sequence[Trial], table: Mapping[str, Any], identit
         identity,
         summary={"best_error_m4": best.error, "best": best.params, "trials": len(trials)},
         command=["jax-aero", "train", *sys.argv[2:]],
-        engine="optuna",
+        backend="optuna",
         dataset=dataset,
         timings_s={"all trials": sum(trial.seconds for trial in trials)},
     )

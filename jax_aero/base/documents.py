@@ -124,7 +124,7 @@ class FinishedSweep(_Drawing, kw_only=True):
     seed: int
     perturbation: dict[str, Any]
     rows: int
-    engine: str
+    backend: str
     device: _Device
     finished: _Outcomes
     git: _Git | None

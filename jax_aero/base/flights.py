@@ -24,7 +24,7 @@ def verdict(flight: xr.Dataset) -> str:
 
 
 def ending_at(flight: xr.Dataset) -> str:
-    """Return how and when a flight ended: "fell at 21.4 s", "descended at 30.2 s"."""
+    """Return how and when a flight ended: "fell at 21.4 s", "landed at 30.2 s"."""
     lost = lost_time(flight)
     return f"{flight.attrs['outcome']} at {float(flight['time'][-1]) if lost is None else lost:.1f} s"
 

@@ -1,4 +1,4 @@
-"""The result of a flight, independent of the engine. NumPy only."""
+"""The result of a flight, independent of the back end. NumPy only."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from jax_aero.base.places import did_you_mean
 if TYPE_CHECKING:
     from jax_aero.rust import Robot
 
-Outcome = Literal["completed", "off_course", "descended", "descending", "crashed", "fell", "diverged"]
+Outcome = Literal["completed", "off_course", "landed", "landing", "crashed", "fell", "diverged"]
 """How a flight ended."""
 
-UPRIGHT: tuple[Outcome, ...] = ("completed", "descended")
+UPRIGHT: tuple[Outcome, ...] = ("completed", "landed")
 """Outcomes of a flight that completes its mission or touches down within the limits of a landing."""
 
 LOST: tuple[Outcome, ...] = ("crashed", "fell", "diverged")
@@ -47,8 +47,8 @@ class FlightResult:
     joint_setpoint
         Posture of the first tick, to which the posture task returns [rad].
     outcome
-        "completed"; "off_course": flown to the end, but further than 0.5 m from its set-point; "descended": the mission
-        was given up, and the robot touched down within the limits of a landing, "crashed": beyond them, "descending":
+        "completed"; "off_course": flown to the end, but further than 0.5 m from its set-point; "landed": the mission
+        was given up, and the robot touched down within the limits of a landing, "crashed": beyond them, "landing":
         it was on its way at the end; "fell"; "diverged": numbers beyond the divergence limits.
     lost_time, lost_reason
         Time [s] and criterion of the loss; `None` if the flight reached its end.

@@ -2,7 +2,7 @@
 
     JetsConfig, RobotModel ──jet_dynamics──► JetDynamics;   thrust rate command ──advance──► JetsState
 
-There are two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the
+There are two dynamics: `ideal` follows the command exactly, as in every published flight; `throttled` is the
 identified engine with the throttle loop and the estimator that the real robot needs. All functions process all jets at
 once. `JetDynamics` is a protocol: any pytree with its methods can be used.
 
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.body.robot import ENGINE_KEYS, RobotModel
-from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, SecondOrderJetsConfig, ShaftConfig
+from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, ShaftConfig, ThrottledJetsConfig
 from jax_aero.types import Array, leaf, pytree, static
 
 MIN_INPUT_GAIN = 1e-9
@@ -118,7 +118,7 @@ class IdealJets:
 
 
 class EngineState(NamedTuple):
-    """State of second-order jets in addition to thrust and thrust rate."""
+    """State of jets with throttles in addition to thrust and thrust rate."""
 
     throttle: Float[Array, " j"]
     """Throttle of the last step [%]."""
@@ -203,9 +203,9 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
     match settings:
         case IdealJetsConfig():
             return IdealJets(robot.jets.thrust_min)
-        case SecondOrderJetsConfig(shaft=ShaftConfig()):
+        case ThrottledJetsConfig(shaft=ShaftConfig()):
             raise ValueError("`simulator.jets.shaft` is given; expected none: JAX's plant has no shafts")
-        case SecondOrderJetsConfig():
+        case ThrottledJetsConfig():
             return SecondOrderJets(
                 engines=engines(robot, settings.engines or robot.jets.engines),
                 thrust_min=robot.jets.thrust_min,
@@ -214,7 +214,7 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
                 feedback_is_estimated=settings.feedback == "estimated",
             )
         case MeasuredJetsConfig():
-            expected = 'expected "ideal" or "second_order": JAX has no maps'
+            expected = 'expected "ideal" or "throttled": JAX has no maps'
             raise ValueError(f'`simulator.jets.dynamics` is "measured"; {expected}')
         case _:
             assert_never(settings)

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from jaxtyping import Bool, Float
 
-from jax_aero.control.guard.estimator import EstimatorState
-from jax_aero.control.guard.observer import ObserverState
-from jax_aero.control.guard.wind_observer import WindState
-from jax_aero.control.law.mpc.plan import Plan
+from jax_aero.control.estimate.disturbance_observer import ObserverState
+from jax_aero.control.estimate.estimator import EstimatorState
+from jax_aero.control.estimate.wind_observer import WindState
+from jax_aero.control.law.plan import Plan
 from jax_aero.control.law.setpoint import SetpointState
 from jax_aero.control.qp import WarmStart
 from jax_aero.types import Array

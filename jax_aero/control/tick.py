@@ -28,16 +28,14 @@ from jax_aero.body.spatial import multiply
 from jax_aero.config import RateFeedback, ScenarioConfig
 from jax_aero.control import qp
 from jax_aero.control.command import Command
-from jax_aero.control.guard import estimator, observer, wind_observer
-from jax_aero.control.guard.estimator import Estimator, Order
-from jax_aero.control.guard.observer import ObserverGains
+from jax_aero.control.estimate import disturbance_observer, estimator, wind_observer
+from jax_aero.control.estimate.disturbance_observer import ObserverGains
+from jax_aero.control.estimate.estimator import Estimator, Order
 from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.attitude import MomentumGains
 from jax_aero.control.law.mission import Mission, load_mission
 from jax_aero.control.law.momentum_qp import Task
-from jax_aero.control.law.mpc.config import Mpc, mpc_params
-from jax_aero.control.law.mpc.law import PredictiveLaw
-from jax_aero.control.law.mpc.plan import no_plan
+from jax_aero.control.law.plan import no_plan
 from jax_aero.control.law.policy_card import load_policy
 from jax_aero.control.law.rates import MomentumLaw
 from jax_aero.control.law.residual import Residual, steer
@@ -46,6 +44,8 @@ from jax_aero.control.law.tasks import TaskParams, choose_limits, symmetric_pair
 from jax_aero.control.law.torque import TorqueParams
 from jax_aero.control.law.torques import Torques
 from jax_aero.control.measurement import Measurement, Reading
+from jax_aero.control.mpc.config import Mpc, mpc_params
+from jax_aero.control.mpc.law import PredictiveLaw
 from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms, update_model
@@ -160,7 +160,7 @@ def momentum_controller(
     ValueError
         If the configuration does not fit the robot, or is that of feet; the message names the key.
     """
-    controller, time_step = config.controller, leaf(config.simulator.time_step)
+    controller, time_step = config.controller, leaf(config.controller.time_step)
     if controller.contact is not None or not controller.use_jets:
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
         raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
@@ -182,17 +182,19 @@ def momentum_controller(
         aero=weight_forces(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
         rate_feedback=_components(feedback.momentum_rate),
         momentum=leaves(MomentumGains, controller.momentum),
-        tasks=task_params(controller, robot, config.simulator.time_step),
+        tasks=task_params(controller, robot, config.controller.time_step),
         other_tasks=tasks,
         torque=leaves(TorqueParams, controller.torque),
         torque_max=choose_limits(robot.joint_torque_max, controller.torque.torque_max, robot),
         torque_rate_max=choose_limits(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         estimator=None if estimates is None else estimator.estimator(estimates, time_step),
-        observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
+        observer=None
+        if controller.disturbance_observer is None
+        else leaves(ObserverGains, controller.disturbance_observer),
         mpc=None
         if controller.mpc is None
-        else mpc_params(controller.mpc, robot, config.simulator.time_step, controller.jet_dynamics),
+        else mpc_params(controller.mpc, robot, config.controller.time_step, controller.jet_dynamics),
         mission=load_mission(config.mission),
         time_step=time_step,
         residual=None if controller.policy is None else load_policy(controller.policy.card, robot),
@@ -221,9 +223,9 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         torque_start=qp.cold_start(n, zeros.dtype),
         estimator=None if params.estimator is None else estimator.start(params.estimator, state, jets),
         wind=wind_observer.start(zeros) if params.switches.estimates_wind else None,
-        observer=None if params.observer is None else observer.start(zeros),
+        observer=None if params.observer is None else disturbance_observer.start(zeros),
         plan=None if params.mpc is None else no_plan(params.mpc.structure.unknowns(jets), jets, zeros.dtype),
-        residual=None if params.residual is None else observer.start(zeros),
+        residual=None if params.residual is None else disturbance_observer.start(zeros),
     )
 
 
@@ -304,7 +306,7 @@ def _observe(params: MomentumController, memory: ControllerState, model: Model) 
     if params.observer is None or memory.observer is None:
         return memory, model
     momentum, rate = model.dynamics.momentum, model.momentum.rate_estimate
-    observed = observer.update(params.observer, params.time_step, memory.observer, momentum, rate)
+    observed = disturbance_observer.update(params.observer, params.time_step, memory.observer, momentum, rate)
     model = model._replace(momentum=model.momentum.add_unmodelled(observed.wrench))
     return memory._replace(observer=observed), model
 

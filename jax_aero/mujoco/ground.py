@@ -5,7 +5,7 @@ observe   state, foot wrenches and joint torques of MuJoCo at x_k
 advance   sub-steps of MuJoCo to x_{k+1} under held torques and the held force of jets, air and pushes
 ```
 
-The crate does not simulate ground contact; this engine does. A foot has contact at the corners of its sole, small
+The crate does not simulate ground contact; this backend does. A foot has contact at the corners of its sole, small
 spheres whose lowest points are those in the robot's file. Joints have stops unless the configuration disables them.
 """
 
@@ -51,7 +51,7 @@ class GroundPlant:
         self.robot = rust.Robot(self.source)
         table = tomllib.loads(self.robot.toml_text)
         simulator = config["simulator"]
-        self.model = _model(self.source, self.robot, table.get("feet", []), simulator)
+        self.model = _model(self.source, self.robot, table.get("feet", []), config)
         self.data = mujoco.MjData(self.model)
         self._order = order_of(self.source, tuple(self.robot.joint_names))
         feet = self.robot.foot_names
@@ -72,7 +72,7 @@ class GroundPlant:
         if settings := simulator["ground"].get("leg_odometry"):
             soles = [self._soles[feet.index(name)] for name in config["controller"]["contact"]["feet"]]
             time_constant = settings["velocity_time_constant"]
-            share = -np.expm1(-simulator["time_step"] / time_constant) if time_constant > 0.0 else 1.0
+            share = -np.expm1(-config["controller"]["time_step"] / time_constant) if time_constant > 0.0 else 1.0
             self._odometry = LegOdometry(self.model, self._order, soles, self._state(), share)
 
     def _state(self) -> rust.State:
@@ -159,8 +159,9 @@ class GroundPlant:
         return np.asarray((data.qfrc_actuator + data.qfrc_passive + friction)[self._order.dofs[6:]])
 
 
-def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], simulator: Mapping[str, Any]) -> Any:
+def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> Any:
     """Return MuJoCo's model of the robot on a plane, with `feet` as in its file and motors as configured."""
+    simulator = config["simulator"]
     ground, motors = simulator["ground"], simulator.get("motors", {})
     spec = mujoco_spec(source)
     option = spec.option
@@ -168,7 +169,7 @@ def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], si
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if not simulator["joint_stops"]:
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    option.timestep = simulator["time_step"] / simulator["substeps"]
+    option.timestep = config["controller"]["time_step"] / simulator["substeps"]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 100.0  # reduces creep along the ground
@@ -224,10 +225,10 @@ def begin(config: Mapping[str, Any]) -> rust.Flight:
     Raises
     ------
     ValueError
-        If the configuration has no ground, or has settings that this engine does not support; or if the robot does not
+        If the configuration has no ground, or has settings that this backend does not support; or if the robot does not
         come to rest where it is put down.
     """
-    config = {**config, "engine": "mujoco"}
+    config = {**config, "backend": "mujoco"}
     rust.check_config(config)
     return rust.Flight(config, GroundPlant(config))
 

@@ -64,12 +64,12 @@ class Disturbances:
 
 def configured(config: ScenarioConfig, robot: RobotModel, measured_wind: Wind) -> Disturbances:
     """Return the configured disturbances. Call it outside loops, since noise, delays and losses are drawn."""
-    simulator, given, ticks = config.simulator, config.disturbances, n_ticks(config.simulator)
-    time_step, joints, jets = leaf(simulator.time_step), robot.n_joints, robot.jets.count
+    simulator, given, ticks = config.simulator, config.disturbances, n_ticks(config)
+    time_step, joints, jets = leaf(config.controller.time_step), robot.n_joints, robot.jets.count
     estimate, sensing, way = given.wind_estimate, simulator.sensors, simulator.actuation
     return Disturbances(
         wind_estimate=None if estimate is None else wind_estimate(estimate, time_step, measured_wind, ticks),
         sensors=None if sensing is None else sensors(sensing, time_step, ticks, joints, jets),
-        actuation=None if way is None else actuation(way, simulator.time_step, simulator.substeps, ticks),
+        actuation=None if way is None else actuation(way, config.controller.time_step, simulator.substeps, ticks),
         pushes=configured_pushes(given.pushes, robot),
     )

@@ -34,13 +34,12 @@ from jax_aero.body.kinematics import generalised_force, generalised_thrust, kine
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotate, rotation_from_rpy
 from jax_aero.config import (
-    Disturbances,
     DynamicsBackend,
     InitialConfig,
     Integrator,
     JetFaultsConfig,
     LeverArm,
-    SimulatorConfig,
+    ScenarioConfig,
 )
 from jax_aero.sim.jet_faults import faulty_jets
 from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, State, leaf, pytree, static
@@ -139,14 +138,13 @@ class Observation(NamedTuple):
     link_forces: LinkForces
 
 
-def n_ticks(config: SimulatorConfig) -> int:
+def n_ticks(config: ScenarioConfig) -> int:
     """Return the number of ticks after the one at time zero."""
-    return int(np.floor(config.duration / config.time_step + 0.5))
+    return int(np.floor(config.simulator.duration / config.controller.time_step + 0.5))
 
 
 def start_plant(
-    config: SimulatorConfig,
-    disturbances: Disturbances,
+    scenario: ScenarioConfig,
     robot: RobotModel,
     aero: AeroModel | None = None,
     jets: JetDynamics | None = None,
@@ -161,6 +159,7 @@ def start_plant(
     ValueError
         If the number of joints or jets differs from the robot's.
     """
+    config, disturbances = scenario.simulator, scenario.disturbances
     initial = config.initial
     _check(initial, robot)
     # A model without fields, such as an empty NamedTuple, counts as false.
@@ -168,14 +167,14 @@ def start_plant(
     jets = jet_dynamics(config.jets, robot) if jets is None else jets
     force_scale = None
     if disturbances.jets != JetFaultsConfig():
-        jets = faulty_jets(jets, disturbances.jets, config.jets, robot, n_ticks(config))
+        jets = faulty_jets(jets, disturbances.jets, config.jets, robot, n_ticks(scenario))
         force_scale = leaf([disturbances.jets.force_scale.get(name, 1.0) for name in robot.jets.names])
     plant = Plant(
         robot=robot,
         aero=weight_forces(aero, disturbances.aero, robot, "disturbances.aero"),
         jets=jets,
         force_scale=force_scale,
-        time_step=leaf(config.time_step),
+        time_step=leaf(scenario.controller.time_step),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
         has_stops=config.joint_stops,

@@ -43,11 +43,11 @@ def prepare(
     """Return a scenario and its state at the first tick. Call it outside loops, since it computes tables and noise.
 
     The guard, which finds failures and answers them, is the crate's alone. Its detectors (`controller.channels`,
-    `engines`, `joints`, `latency_monitor`, `supervisor`, `mpc.descent`) do nothing here: a flight is the crate's as
+    `controller.fault_detection`, `mpc.descent`) do nothing here: a flight is the crate's as
     long as the crate's signal `degraded_modes` has no mode but those of solvers. Refused by key, since the crate alone
-    flies them (`engine = "rust"`), are failures that a guard answers: outages, faulty joints, and jets that
-    fail or do not reach their thrust if the controller has `engines`; so are fuel, ground, motors and torques of a
-    second rate.
+    flies them (`backend = "rust"`), are failures that a guard answers: outages, faulty joints, and jets that
+    fail or do not reach their thrust if the controller has `fault_detection.engines`; so are fuel, ground, motors and
+    torques of a second rate.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def prepare(
     refuse(config)
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
-    plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
+    plant, state = world.start_plant(config, robot, aero, jets, read_network)
     model = controller_model(config, robot)
     scenario = Scenario(
         plant=plant,
@@ -92,7 +92,7 @@ def prepare(
         controller_model=model,
         controller_wind=controller_wind,
         disturbances=configured(config, robot, controller_wind or wind),
-        n_ticks=jnp.asarray(np.int32(world.n_ticks(config.simulator))),
+        n_ticks=jnp.asarray(np.int32(world.n_ticks(config))),
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))
@@ -100,7 +100,7 @@ def prepare(
 
 
 def refuse(config: ScenarioConfig) -> None:
-    """Refuse what the crate, or MuJoCo's engine, flies and JAX does not, by all its keys.
+    """Refuse what the crate, or MuJoCo's back end, flies and JAX does not, by all its keys.
 
     Raises
     ------
@@ -118,7 +118,7 @@ FLOWN = ("aero", "aero_estimate", "controller_wind", "jets", "model_error", "pus
 def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
     """Yield key, value and expectation of all that JAX does not fly."""
     simulator, disturbances, steps = config.simulator, config.disturbances, config.controller.torque.steps
-    by_crate = 'the crate flies it (`engine = "rust"`)'
+    by_crate = 'the crate flies it (`backend = "rust"`)'
     for key in ("fuel", "ground", "motors"):
         if getattr(simulator, key) is not None:
             yield f"simulator.{key}", "given", "none: JAX has neither ground, motors nor fuel"
@@ -147,7 +147,7 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
     error = disturbances.model_error
     if error.inertia_scale != 1.0 or error.thrust_axes or error.of_plant:
         yield "disturbances.model_error", error, f"no inertia_scale, thrust_axes and of_plant; {by_crate}"
-    jets, has_monitor = disturbances.jets, config.controller.engines is not None
+    jets, has_monitor = disturbances.jets, config.controller.fault_detection.engines is not None
     limited = jets.thrust_limit_scale is not None and not jets.limit_is_known
     unanswered = {
         **{key: getattr(disturbances, key) for key in disturbances.__struct_fields__ if key not in FLOWN},
@@ -163,6 +163,6 @@ def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
     """Return the typed view of a configuration, which the crate checks; one that is typed has been checked."""
     if isinstance(config, ScenarioConfig):
         return config
-    flown = {**config, "engine": "jax"}
+    flown = {**config, "backend": "jax"}
     rust.check_config(flown)
     return scenario_config(flown)

@@ -41,7 +41,7 @@ from jax_aero.types import Array, pytree, replace_values
 
 PLACES = {
     "momentum": "momentum",
-    "observer": "observer",
+    "disturbance_observer": "observer",
     "posture_gain": "tasks.posture_gain",
     "torque": "torque",
     "weights": "tasks",

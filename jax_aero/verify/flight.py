@@ -257,7 +257,7 @@ def _round_velocities(
 
     `torque` is what the rounding and the twin's solver change of the command [N m], (ticks, n).
     """
-    rng, robot, dt = np.random.default_rng(2), rust.Robot(config["robot"]), config["simulator"]["time_step"]
+    rng, robot, dt = np.random.default_rng(2), rust.Robot(config["robot"]), config["controller"]["time_step"]
     states = states_of(crate.log, "", rust.rotation_from_wxyz(crate["base_quaternion"]))
     velocity, rounded = np.asarray(states.velocity), np.array(states.velocity)
     for tick, accelerated in enumerate(np.diff(velocity, axis=0) / dt):

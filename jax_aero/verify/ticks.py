@@ -100,7 +100,7 @@ def crate_ticks(config: Mapping[str, Any], samples: Sequence[Sample]) -> list[ru
         started = controller.start(sample.state, sample.thrust, sample.wind)
         controller.state = started.with_posture_control(*(np.ascontiguousarray(part) for part in sample.memory))
         first.append(controller.tick(sample.state, sample.thrust, sample.wind, 0.0, sample.setpoint))
-        time = config["simulator"]["time_step"]
+        time = config["controller"]["time_step"]
         second.append(controller.tick(following.state, following.thrust, following.wind, time, following.setpoint))
     return first + second
 

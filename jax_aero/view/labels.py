@@ -130,7 +130,7 @@ def rotation_error(now: Instant) -> str:
 def _outcome(flight: Recording) -> str:
     """Return how a flight ended, in few words: with the speed of the touch-down if it came down."""
     speed = np.linalg.norm(flight.at(flight.duration).com_velocity)
-    words = {"descended": f"landed at {speed:.1f} m/s", "crashed": f"crashed at {speed:.1f} m/s"}
+    words = {"landed": f"landed at {speed:.1f} m/s", "crashed": f"crashed at {speed:.1f} m/s"}
     return words.get(flight.outcome, flight.verdict.partition(" (")[0])
 
 

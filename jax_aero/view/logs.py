@@ -163,7 +163,7 @@ def read_flight(path: Path, config: rust.Config | None, mapping: Path | None, ro
     assert config is not None  # which `read` refuses
     place = Path(robot_file or config["robot"])
     robot = rust.Robot(place)
-    found, is_recorded = at_ticks(log, robot, float(config["simulator"]["time_step"]), path)
+    found, is_recorded = at_ticks(log, robot, float(config["controller"]["time_step"]), path)
     signals = {name: rows[is_recorded] for name, rows in found.items()}
     signals = {name: _filled(signals[f"raw_{name}"]) for name in MEASURED if f"raw_{name}" in signals} | signals
     signals.setdefault("base_quaternion", np.asarray(wxyz_from_rotation(_filled(signals["raw_base_rotation"]))))

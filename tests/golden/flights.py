@@ -56,7 +56,7 @@ def load_digests() -> Digests:
 def config_of(name: str) -> rust.Config:
     """Return the configuration of a flight."""
     if name == JAX:
-        return rust.load_config("test2", {"engine": "jax", "simulator.duration": 1.0})
+        return rust.load_config("test2", {"backend": "jax", "simulator.duration": 1.0})
     return rust.load_config(name)
 
 

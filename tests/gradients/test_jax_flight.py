@@ -1,6 +1,6 @@
 """The gradient of two seconds of closed loop against difference quotients, and what a loss leaves of it.
 
-The simulator has a network, second-order jets and a recorded reference, so that one compilation serves all of them.
+The simulator has a network, jets with throttles and a recorded reference, so that one compilation serves all of them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def problem(x64, tmp_path_factory):
     """A cost of tracking as long as the flight lasts: compiled, and its value with the gradient."""
     table = rust.load_config("test2")
     table["wind"] |= {"ramp_start": -1.0, "ramp_end": 0.5}
-    table["simulator"]["jets"] = {"dynamics": "second_order"}
+    table["simulator"]["jets"] = {"dynamics": "throttled"}
     network = rust.load_config("test4")["simulator"]["aero"]
     table["simulator"]["aero"] = network | {"precision": "f64"}
     table["mission"] = {"file": str(tmp_path_factory.mktemp("reference") / "sway.csv")}

@@ -18,7 +18,7 @@ from jax_aero.body.jets import jet_dynamics
 from jax_aero.body.kinematics import generalised_force, kinematics, velocities_at
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import exp_so3, rotation_angle, rotation_from_rpy, rpy_from_rotation, wxyz_from_rotation
-from jax_aero.config import SecondOrderJetsConfig
+from jax_aero.config import ThrottledJetsConfig
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State
 
@@ -152,7 +152,7 @@ def fly_jets(inputs, model):
 def test_second_order_jets(check_gradient, robot, thrust):
     """Also with the throttle at its lower limit."""
     settings = scenario_config(rust.load_config("second_order_jets")).simulator.jets
-    assert isinstance(settings, SecondOrderJetsConfig)
+    assert isinstance(settings, ThrottledJetsConfig)
     inputs = (jnp.full(4, thrust + 0.5), jnp.array([-40.0, 3.0, 10.0, -3.0]))
     check_gradient(fly_jets, inputs, jet_dynamics(settings, robot), tolerance=1e-5)
 

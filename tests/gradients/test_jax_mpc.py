@@ -11,9 +11,9 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.control import qp
-from jax_aero.control.law.mpc.horizon import Target, horizon
-from jax_aero.control.law.mpc.model import linearise
 from jax_aero.control.measurement import Measurement
+from jax_aero.control.mpc.horizon import Target, horizon
+from jax_aero.control.mpc.model import linearise
 from jax_aero.sim import begin, prepare, rollout
 
 pytestmark = pytest.mark.usefixtures("x64")

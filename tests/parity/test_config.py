@@ -56,9 +56,9 @@ def test_keys_are_set_as_in_a_file(tmp_path, monkeypatch):
     (tmp_path / "file.toml").write_text("profile = 'file'\npath = 'gust.csv'\n")
     changed = rust.load_config(
         "test2_observer",
-        {"controller.engines": False, "simulator.joint_stops": False, "wind": {"base": "file.toml"}},
+        {"controller.fault_detection.engines": False, "simulator.joint_stops": False, "wind": {"base": "file.toml"}},
     )
-    assert "engines" not in changed["controller"]
+    assert "engines" not in changed["controller"]["fault_detection"]
     assert changed["simulator"]["joint_stops"] is False
     assert changed["wind"] == {"profile": "file", "path": str(tmp_path / "gust.csv")}
     assert "wind.path" in rust.path_keys(changed)

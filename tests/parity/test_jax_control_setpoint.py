@@ -45,9 +45,9 @@ def test_setpoints(name, boost, agree):
     grown = {} if boost is None else {"controller.setpoint.turbo_boost": boost, "controller.setpoint.turbo_rate": 10.0}
     table = rust.load_config(name, grown)
     config = scenario_config(table)
-    time_step = jnp.array(config.simulator.time_step)
+    time_step = jnp.array(config.controller.time_step)
     params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
-    ours = jax.device_get(follow(params, mission.commands(config.mission), START, n_ticks(config.simulator) + 1))
+    ours = jax.device_get(follow(params, mission.commands(config.mission), START, n_ticks(config) + 1))
     theirs = rust.setpoint_trajectory(table, *START)
     assert ours.keys() == theirs.keys()
     for signal, expected in theirs.items():
@@ -61,9 +61,9 @@ def test_setpoints_of_a_start_without_a_heading(pitch, agree):
     table = rust.load_config("test2", {"simulator.duration": 2.0})
     table["controller"]["setpoint"]["nose_down_limits_deg"] = [-90.0, 90.0]
     config = scenario_config(table)
-    params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, jnp.array(config.simulator.time_step))
+    params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, jnp.array(config.controller.time_step))
     start = (START[0], rotation)
-    ours = jax.device_get(follow(params, mission.commands(config.mission), start, n_ticks(config.simulator) + 1))
+    ours = jax.device_get(follow(params, mission.commands(config.mission), start, n_ticks(config) + 1))
     agree("attitude that is kept", ours["rotation"][-1], rotation, 1e-10)
     theirs = rust.setpoint_trajectory(table, *start)
     for signal in ("raw_rpy", "rotation"):
@@ -108,10 +108,10 @@ def test_recorded_setpoints(columns, agree, tmp_path):
     rust.check_config(table)
     config = scenario_config(table)
 
-    time_step = jnp.array(config.simulator.time_step)
+    time_step = jnp.array(config.controller.time_step)
     params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
     recording = recorded.recording(recorded.read_reference(config.mission.file))
-    ours = jax.device_get(follow(params, recording, START, n_ticks(config.simulator) + 1))
+    ours = jax.device_get(follow(params, recording, START, n_ticks(config) + 1))
     for signal, expected in rust.setpoint_trajectory(table, *START).items():
         agree(f"recorded: {signal}", ours[signal], expected, TOLERANCE.get(signal, 1e-12))
 
@@ -121,7 +121,7 @@ def test_float32_setpoints_stay_within_a_millimetre_and_a_hundredth_of_a_degree(
     table = rust.load_config("test2")
     with jax.enable_x64(False):
         config = scenario_config(table)
-        time_step = jnp.float32(config.simulator.time_step)
+        time_step = jnp.float32(config.controller.time_step)
         params = setpoint.setpoint_params(config.controller.setpoint, jnp.float32(FORWARD), time_step)
         start = tuple(map(jnp.float32, START))
         found = jax.device_get(follow(params, mission.commands(config.mission), start, 5001))

@@ -12,8 +12,8 @@ from jax_aero.aero import aero_model
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import Measurement
-from jax_aero.control.guard import estimator
-from jax_aero.control.guard.estimator import Order
+from jax_aero.control.estimate import estimator
+from jax_aero.control.estimate.estimator import Order
 from jax_aero.control.measurement import Reading
 from jax_aero.control.tick import momentum_controller, replace_command
 from jax_aero.sim import sensors
@@ -37,7 +37,7 @@ def test_both_estimate_the_same_state(x64, agree_with_the_log):
     table["wind"] = WIND
     flown = rust.fly(table)
     config, robot = scenario_config(table), load_robot(table["robot"])
-    time_step, ticks = jnp.asarray(config.simulator.time_step), len(flown["time"])
+    time_step, ticks = jnp.asarray(config.controller.time_step), len(flown["time"])
     errors = sensors.sensors(config.simulator.sensors, time_step, ticks - 1, 23, 4)
     settings = estimator.estimator(config.controller.estimator, time_step)
     air = aero_model(config.controller.aero, robot)

@@ -75,7 +75,7 @@ def test_every_tick_of_the_world(experiment, agree):
     rust.check_config(table)
     config, log = scenario_config(table), rust.fly(table).log
     robot, wind_now = load_robot(table["robot"]), wind_model(config.wind)
-    plant, start = jax.jit(lambda: start_plant(config.simulator, config.disturbances, robot))()
+    plant, start = jax.jit(lambda: start_plant(config, robot))()
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
 
@@ -111,7 +111,7 @@ def test_joints_meet_their_stops(integrator, agree):
         table["simulator"][key.removeprefix("simulator.")] = value
     table["simulator"]["initial"] |= {"thrust": [0.0] * 4, "free_fall_tick": False}
     crate, config = rust.Flight(table), scenario_config(table)
-    plant, state = start_plant(config.simulator, config.disturbances, load_robot(table["robot"]))
+    plant, state = start_plant(config, load_robot(table["robot"]))
     names = rust.Robot(table["robot"]).joint_names
     torque, rest = np.zeros(23), np.zeros(3)
     pressed = [names.index(name) for name in ("l_elbow", "r_knee", "torso_roll")]
@@ -241,7 +241,7 @@ def test_both_kinds_of_dynamics_fly_the_same():
     """`simulator.dynamics`: one step to the rounding of M⁻¹ h (condition 1e5), and 0.2 s with what it grows to."""
     heights = {}
     for dynamics in ("tree", "mjx"):
-        changes = {"engine": "jax", "simulator.dynamics": dynamics, "wind.ramp_start": -9.0}
+        changes = {"backend": "jax", "simulator.dynamics": dynamics, "wind.ramp_start": -9.0}
         table = rust.load_config("test2", changes)
         scenario, start = sim.prepare(table, controller=Damper())
         assert scenario.plant.backend == dynamics
@@ -303,7 +303,7 @@ def test_a_controller_whose_model_has_rotors(fly_both):
 RISING = {
     "simulator.initial.thrust": [11.5, 12.0, 90.0, 90.0],
     "simulator.initial.base_velocity": [0, 0, 3, 0, 0, 0],
-    "controller.supervisor": False,  # such a start strays, which JAX does not report
+    "controller.fault_detection.tracking_error": False,  # such a start strays, which JAX does not report
 }
 
 

@@ -14,7 +14,7 @@ from jax_aero.base import places, tables
 from jax_aero.base.typed import scenario_config
 from jax_aero.verify.flight import NOT_COMPARED
 
-DETECTORS = ("channels", "engines", "joints", "latency_monitor", "supervisor")
+DETECTORS = ("channels", "fault_detection")
 
 
 def healthy():
@@ -22,8 +22,8 @@ def healthy():
     for name in places.names("experiments"):
         table = rust.load_config(name)
         controller, jets = table["controller"], table["disturbances"]["jets"]
-        watches = any(controller.get(part) for part in ("observer", "estimator", "mpc"))
-        if watches and table.get("engine") != "mujoco" and "failure" not in jets:
+        watches = any(controller.get(part) for part in ("disturbance_observer", "estimator", "mpc"))
+        if watches and table.get("backend") != "mujoco" and "failure" not in jets:
             yield name
 
 
@@ -85,7 +85,7 @@ def test_what_the_crate_alone_flies_is_refused(key):
 
 def test_engines_of_shafts_are_refused():
     shaft = places.CONFIGS / "engines/jetcat_p300.toml"
-    jets = {"dynamics": "second_order", "shaft": tables.read(shaft)}
+    jets = {"dynamics": "throttled", "shaft": tables.read(shaft)}
     with pytest.raises(ValueError, match=r"`simulator\.jets\.shaft` is given; expected none"):
         sim.prepare(rust.load_config("test2", {"simulator.jets": jets}), dtype=np.float32)
 
@@ -101,7 +101,10 @@ def test_what_this_engine_has_not_is_refused(key):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"disturbances.jets.failure": REFUSED["disturbances.jets.failure"], "controller.engines": False},
+        {
+            "disturbances.jets.failure": REFUSED["disturbances.jets.failure"],
+            "controller.fault_detection.engines": False,
+        },
         {"disturbances.jets": {"thrust_limit_scale": 0.7, "limit_is_known": True}},
     ],
 )

@@ -11,10 +11,10 @@ from jax_aero import rust
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import tick
-from jax_aero.control.law.mpc.clearance import distances
-from jax_aero.control.law.mpc.horizon import Target, horizon
-from jax_aero.control.law.mpc.model import linearise
 from jax_aero.control.measurement import Measurement
+from jax_aero.control.mpc.clearance import distances
+from jax_aero.control.mpc.horizon import Target, horizon
+from jax_aero.control.mpc.model import linearise
 from jax_aero.control.preview import Preview
 from jax_aero.train.identify import states_of
 from jax_aero.types import Setpoint, State
@@ -125,7 +125,7 @@ def flown(x64):
     """A flight with an engine that stops, which nothing finds, and the commands along it in any wind."""
     failure = {"jet": "l_arm_jet", "kind": "off", "time": 0.2}
     changes = {"disturbances.jets": {"failure": failure}, "simulator.duration": 0.6}
-    changes |= dict.fromkeys(("controller.engines", "controller.supervisor", "controller.channels.jump"), False)
+    changes |= {"controller.fault_detection": {}, "controller.channels.jump": False}
     changes |= {"disturbances.aero_estimate.scale": 3.0}
     table, robot, params = flight(changes | {"wind.ramp_start": -1.0, "wind.ramp_end": 0.3})
     log = rust.fly(table).log

@@ -11,8 +11,8 @@ from jax_aero import rust
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import tick
-from jax_aero.control.guard import observer
-from jax_aero.control.guard.observer import ObserverGains
+from jax_aero.control.estimate import disturbance_observer
+from jax_aero.control.estimate.disturbance_observer import ObserverGains
 from jax_aero.types import State
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -28,7 +28,7 @@ def flown():
         "simulator.duration": 3.0,
         "wind.ramp_start": 0.2,
         "wind.ramp_end": 1.0,
-        "controller.observer": LIMITS,
+        "controller.disturbance_observer": LIMITS,
     }
     table = rust.load_config("test1_observer", changes)
     log = rust.fly(table).log
@@ -80,10 +80,10 @@ def test_the_law_on_every_axis():
     times = 0.01 * jnp.arange(200)
 
     def one(state, time):
-        state = observer.update(config, jnp.array(0.01), state, (rate + wrench) * time, rate)
+        state = disturbance_observer.update(config, jnp.array(0.01), state, (rate + wrench) * time, rate)
         return state, state.wrench
 
-    _, found = jax.lax.scan(one, observer.start(wrench), times)
+    _, found = jax.lax.scan(one, disturbance_observer.start(wrench), times)
     gains = np.repeat([2.0, 5.0], 3)
     expected = wrench * -np.expm1(-np.outer(times, gains))
     # A momentum near 200 N s rounds by 3e-14 N s, a tick divides by 0.01 s.
@@ -95,7 +95,9 @@ def test_the_first_tick_has_no_slope():
     config = ObserverGains(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
 
     def total(momentum):
-        state = observer.update(config, jnp.array(0.01), observer.start(momentum), momentum, 0.0 * momentum)
+        state = disturbance_observer.update(
+            config, jnp.array(0.01), disturbance_observer.start(momentum), momentum, 0.0 * momentum
+        )
         return state.wrench.sum()
 
     assert np.array_equal(jax.grad(total)(jnp.ones(6)), np.zeros(6))

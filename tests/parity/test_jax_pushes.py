@@ -25,7 +25,7 @@ def test_pushes_between_ticks(agree):
     table = rust.load_config("test2", changes | {"simulator.initial.free_fall_tick": False})
     crate, config = rust.Flight(table), scenario_config(table)
     robot, rest = load_robot(table["robot"]), jnp.zeros(3)
-    plant, state = start_plant(config.simulator, config.disturbances, robot)
+    plant, state = start_plant(config, robot)
     pushing = configured_pushes(config.disturbances.pushes, robot)
     commanded, left = Acting(jnp.zeros(4), (jnp.zeros(23),) * 2), jnp.asarray(pushing.starts)
 

@@ -43,7 +43,7 @@ def test_both_read_the_same(x64, agree_with_the_log):
     config = scenario_config(table)
     truth = Reading(states_of(flown.log, slice(None)), jnp.asarray(flown["thrust"]))
     ticks = len(flown["time"])
-    errors = sensors(config.simulator.sensors, jnp.asarray(config.simulator.time_step), ticks - 1, 23, 4)
+    errors = sensors(config.simulator.sensors, jnp.asarray(config.controller.time_step), ticks - 1, 23, 4)
     before = errors.start(jax.tree.map(lambda x: x[0], truth))
 
     def tick(state, now):

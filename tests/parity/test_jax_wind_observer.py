@@ -14,7 +14,7 @@ from jax_aero.body.dynamics import dynamics
 from jax_aero.body.kinematics import frame_poses, kinematics
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import cross, rotate
-from jax_aero.control.guard import wind_observer
+from jax_aero.control.estimate import wind_observer
 from jax_aero.train.identify import states_of
 
 EXPERIMENT = "test2_observer"
@@ -29,7 +29,7 @@ def replayed(x64):
     flown = rust.fly(table)
     config, robot = scenario_config(table), load_robot(table["robot"])
     air = aero_model(config.controller.aero, robot)
-    step = jnp.asarray(config.simulator.time_step)
+    step = jnp.asarray(config.controller.time_step)
     rows = states_of(flown.log, slice(None)), jnp.asarray(flown["thrust"])
 
     @jax.jit

@@ -52,7 +52,11 @@ def ticks(count):
     """Second ticks of a robot that stands, takes off or lands: configuration, what was given, what came out."""
     config = rust.load_config("take_off")
     law = config["controller"]
-    for key in ("observer", "channels", "engines"):  # a random state does not follow from the one before
+    for key in (
+        "disturbance_observer",
+        "channels",
+        "fault_detection",
+    ):  # a random state does not follow from the one before
         del law[key]
     del law["contact"]["load_transfer"]["unmodelled_force_max"]  # which needs the observer
     initial, rng = config["simulator"]["initial"], np.random.default_rng(3)

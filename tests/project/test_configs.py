@@ -50,28 +50,26 @@ def table(path):
 @pytest.mark.parametrize("name", ["observer_tests", "observer_missions"])
 def test_a_sweep_that_adds_the_recommended_controller_adds_all_of_it(name):
     recommended = table("control/observer.toml")
-    parts = {"observer", "weights", "channels", "engines", "joints", "latency_monitor", "supervisor"}
+    parts = {"disturbance_observer", "weights", "channels", "fault_detection"}
+    detectors = recommended["fault_detection"]
     assert recommended.keys() == {"base"} | parts
     added = {key: value for key, value in table(f"sweeps/{name}.toml")["set"].items() if key.startswith("controller.")}
     assert added == {
-        "controller.observer": recommended["observer"],
+        "controller.disturbance_observer": recommended["disturbance_observer"],
         "controller.weights.joint_velocity": recommended["weights"]["joint_velocity"],
         "controller.channels.jump": recommended["channels"]["jump"],
-        "controller.engines": recommended["engines"],
-        "controller.joints": recommended["joints"],
-        "controller.latency_monitor": recommended["latency_monitor"],
-        "controller.supervisor": recommended["supervisor"],
+        **{f"controller.fault_detection.{name}": detector for name, detector in detectors.items()},
     }
     assert recommended["weights"].keys() == {"joint_velocity"}
     assert recommended["channels"].keys() == {"jump"}
 
 
 def test_a_loss_that_is_found_without_a_descent_is_found_as_the_recommended_controller_finds_it():
-    recommended = table("control/observer.toml")["engines"]
+    recommended = table("control/observer.toml")["fault_detection"]["engines"]
     (axis,) = (axis for axis in table("sweeps/engine_loss.toml")["axis"] if axis["name"] == "engines")
     (level,) = (level for level in axis["level"] if level["label"] == "found, flies on")
-    assert {"descent": recommended["descent"], **level["set"]["controller.engines"]} == recommended
-    assert "descent" not in level["set"]["controller.engines"]
+    assert {"descent": recommended["descent"], **level["set"]["controller.fault_detection.engines"]} == recommended
+    assert "descent" not in level["set"]["controller.fault_detection.engines"]
 
 
 def test_a_sweep_of_realistic_sensors_has_the_realistic_sensors():

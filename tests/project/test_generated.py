@@ -40,7 +40,7 @@ def test_pictures_of_flights_are_of_these_flights(name):
     shown = gallery.made_of(gallery.FILM if name == "film" else gallery.pictures()[name])
     if not runs:
         assert shown == gallery.tables(FIGURES[name])
-    flown_here = [run for run in runs if rust.load_config(run)["engine"] == "rust"]  # the same bits everywhere
+    flown_here = [run for run in runs if rust.load_config(run)["backend"] == "rust"]  # the same bits everywhere
     assert set(shown) >= set(runs)
     for run in flown_here:
         flown = rust.fly(rust.load_config(run))

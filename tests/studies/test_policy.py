@@ -61,7 +61,7 @@ def test_laws_are_compared_in_worlds(tmp_path):
         'design = "latin_hypercube"\nsamples = 3\nset = { "simulator.duration" = 3.5, mission = {} }\n'
         '[[axis]]\nname = "mass"\nkey = "disturbances.model_error.mass_scale"\nlow = 0.9\nhigh = 0.95\n'
     )
-    laws = {"alone": {}, "same": {}, "slow": {"controller.observer.gain_force": 0.1}}
+    laws = {"alone": {}, "same": {}, "slow": {"controller.disturbance_observer.gain_force": 0.1}}
     found = policy.fly_worlds(tmp_path / "own.toml", laws)
     ratios = [found[f"own, same, rms_com_error, ratio{part}"] for part in ("", ", low", ", high")]
     assert ratios == [1.0, 1.0, 1.0]

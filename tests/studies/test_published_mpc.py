@@ -50,7 +50,7 @@ def rates(linearised, state, v):
 def test_one_step_of_the_plant_in_still_air_is_that_of_the_model(robot, body, linearised, agree):
     """Momentum turned by ω, thrusts, gravity, position and attitude: in a step so short that Euler's error is small."""
     length, state = 2e-4, moving(robot)
-    config = rust.load_config("mk3_hover", {"simulator.time_step": length, "simulator.aero": {"model": "off"}})
+    config = rust.load_config("mk3_hover", {"controller.time_step": length, "simulator.aero": {"model": "off"}})
     initial = config["simulator"]["initial"]
     turned = Rotation.from_matrix(state.base_rotation)
     initial |= {
@@ -262,7 +262,7 @@ def test_knots_are_as_published():
 
 
 def published(settings, **changes):
-    config = rust.load_config("mk3_hover", {"simulator.time_step": plan.PERIOD, "simulator.duration": 0.2, **changes})
+    config = rust.load_config("mk3_hover", {"controller.time_step": plan.PERIOD, "simulator.duration": 0.2, **changes})
     flown = rust.Flight(config)
     pilot = flight.Published(config, settings)
     pilot.begin(flown.measurement)
@@ -396,12 +396,12 @@ def test_flights_differ_in_direction_and_perturbation():
     assert first["wind"]["velocity"][0] < -8.0
     assert third["wind"]["velocity"][1] < -8.0
     assert first["simulator"]["initial"] != third["simulator"]["initial"]
-    assert first["simulator"]["time_step"] == plan.PERIOD
+    assert first["controller"]["time_step"] == plan.PERIOD
     [push] = study.configure("published", study.CASES["push of 50 N"], 2, 1.0)["disturbances"]["pushes"]
     assert push["force"] == [0.0, -50.0, 0.0]
     turbulent = study.configure("predictive", study.CASES["10 m/s, turbulence"], 0, 1.0)
     assert turbulent["wind"]["std"] == [2.0, 2.0, 1.0]
-    assert turbulent["simulator"]["jets"]["dynamics"] == "second_order"
+    assert turbulent["simulator"]["jets"]["dynamics"] == "throttled"
 
 
 @pytest.mark.parametrize(

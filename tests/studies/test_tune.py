@@ -103,7 +103,7 @@ def test_a_table_is_written_as_it_is_read():
 
 def test_a_factor_scales_what_its_key_names(scenario):
     """Of numbers, lists and tables."""
-    keys = ["momentum.kp_linear", "weights.thrust_rate", "posture_gain", "torque.kd", "observer.gain_force"]
+    keys = ["momentum.kp_linear", "weights.thrust_rate", "posture_gain", "torque.kd", "disturbance_observer.gain_force"]
     after, before = (
         gains.scale_values(scenario, keys, jnp.log(jnp.array([2.0, 3.0, 4.0, 5.0, 6.0]))).controller,
         scenario.controller,

@@ -20,7 +20,7 @@ from jax_aero.base import typed
 from jax_aero.body import robot
 from jax_aero.body.kinematics import kinematics
 from jax_aero.control import qp
-from jax_aero.control.guard import estimator
+from jax_aero.control.estimate import estimator
 from jax_aero.control.law import recorded
 from jax_aero.control.tick import MomentumController, momentum_controller
 from jax_aero.sim import sensors
@@ -29,12 +29,12 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 EVERYTHING = {
     "simulator.duration": 0.05,
-    "simulator.jets": {"dynamics": "second_order"},
+    "simulator.jets": {"dynamics": "throttled"},
     "controller.wind_observer": {},
     "disturbances.wind_estimate": {"noise_std": 1.0},
     "disturbances.aero": {"drag": 1.1},
     "disturbances.model_error": {"mass_scale": 1.1},
-    "controller.engines": False,
+    "controller.fault_detection.engines": False,
     "disturbances.jets": {"lag": 0.1, "failure": {"jet": "chest_l_jet", "time": 1.0, "kind": "off", "decay": 0.5}},
 }
 """What a flight may have beside its defaults."""

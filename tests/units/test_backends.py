@@ -9,7 +9,7 @@ from jax_aero import rust
 
 
 def test_an_unknown_engine_is_refused():
-    with pytest.raises(Refused, match="engine = 'matlab'; expected one of rust, jax"):
+    with pytest.raises(Refused, match="backend = 'matlab'; expected one of rust, jax"):
         backends.backend("matlab")
 
 
@@ -30,18 +30,18 @@ def test_the_jax_engine_plugs_in_with_two_functions(monkeypatch, make_flight):
 
     monkeypatch.setitem(sys.modules, "jax_aero.sim", Module)
     jax = backends.backend("jax")
-    flights = jax.fly_batch([{"engine": "jax", "title": "a"}, {"title": "b"}])
+    flights = jax.fly_batch([{"backend": "jax", "title": "a"}, {"title": "b"}])
     assert [flight.outcome for flight in flights] == ["completed", "completed"]
-    assert asked == [[{"engine": "jax", "title": "a"}, {"title": "b"}]]
+    assert asked == [[{"backend": "jax", "title": "a"}, {"title": "b"}]]
     refused, flown = jax.fly_batch([{"title": "refused"}, {"title": "b"}])
     assert refused == backends.Failure("no such jet")
     assert flown.outcome == "completed"
 
 
 def test_a_configuration_may_name_its_engine():
-    config = rust.load_config("test1", {"engine": "jax"})
+    config = rust.load_config("test1", {"backend": "jax"})
     assert backends.backend_of(config) == "jax"
     plain = rust.load_config("test1")
     assert backends.backend_of(plain) == "rust"
     with pytest.raises(ValueError, match="matlab"):
-        rust.load_config("test1", {"engine": "matlab"})
+        rust.load_config("test1", {"backend": "matlab"})

@@ -32,9 +32,9 @@ def page(monkeypatch, tmp_path):
 SWEEP, STUDY = 'kept = "made_up"\n', 'kept = "study"\n'
 TABLES = [
     (
-        SWEEP + 'rows = { speed = "10 m/s" }\ncolumns = ["completed + descended", "rotation_deg_worst"]',
+        SWEEP + 'rows = { speed = "10 m/s" }\ncolumns = ["completed + landed", "rotation_deg_worst"]',
         [
-            "| controller | completed + descended | rotation error, greatest [°] |",
+            "| controller | completed + landed | rotation error, greatest [°] |",
             "| a | 2 of 2 | 4.0 |",
             "| b | 0 of 2 | |",
         ],
@@ -58,8 +58,8 @@ TABLES = [
         ["| flight | leans [°] |", "| `test2` | 3.1 |"],
     ),
     (
-        'config = "control/observer"\nrows = ["observer.gain_force"]',
-        ["| key | value |", "| `observer.gain_force` | 3 1/s |"],
+        'config = "control/observer"\nrows = ["disturbance_observer.gain_force"]',
+        ["| key | value |", "| `disturbance_observer.gain_force` | 3 1/s |"],
     ),
 ]
 
@@ -84,7 +84,7 @@ def test_a_table_has_what_its_source_holds(page, asks, rows):
         ('kept = "made_up"\nflights = ["test2"]', "a table shows kept and flights; expected one of"),
         ('kept = "study"\nrow = 3', "unknown field `row`"),
         ('flights = ["test22"]', "there is no experiment `test22`; did you mean"),
-        ('config = "control/observer"\nrows = ["observer.gain"]', "there is no key `gain`"),
+        ('config = "control/observer"\nrows = ["disturbance_observer.gain"]', "there is no key `gain`"),
         ("kept = 3", "Expected `str"),
     ],
 )

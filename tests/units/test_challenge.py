@@ -121,7 +121,7 @@ def test_a_controller_cannot_reach_the_simulator(tasks):
 def test_a_controller_that_does_nothing_completes_nothing(tasks, tmp_path):
     document = challenge.fly(tasks("nothing"), 1, tmp_path)
     assert len(document.outcomes) > 1
-    assert sum(document.outcomes[end] for end in ("completed", "descended")) == 0
+    assert sum(document.outcomes[end] for end in ("completed", "landed")) == 0
 
 
 def test_a_controller_that_fails_has_no_score(tasks, tmp_path):
@@ -154,7 +154,7 @@ def test_results_are_shown_beside_the_shipped_ones(tasks, tmp_path, monkeypatch)
     both = challenge.beside("mine", {"wind_humanoid_1": [mine]}, {})
     shown = kept.table(both)
     assert [row[:4] for row in shown[1:]] == [
-        ["robot's world, touch of 50 N", "shipped", "1", "0"],
+        ["realistic simulation, push of 50 N", "shipped", "1", "0"],
         ["", "nothing", "1", "0"],
     ]
     assert [row[shown[0].index(kept.SHARE)] for row in shown[1:]] == ["0 (0 to 79)"] * 2

@@ -108,7 +108,7 @@ def test_help_names_every_command(capsys):
         (["--hlp"], "did you mean --help"),
         (["fly", "tset1"], "did you mean test1"),
         (["fly", "test1", "--overwite"], "did you mean --overwrite"),
-        (["fly", "test1", "--engine", "rusty"], "did you mean rust"),
+        (["fly", "test1", "--backend", "rusty"], "did you mean rust"),
         (["figures", "fig6b"], "did you mean fig6"),
         (["sweep", "baseline_edges"], "baseline_edge"),
         (["view", "--prot", "1"], "did you mean --port"),

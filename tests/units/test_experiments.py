@@ -200,7 +200,7 @@ def test_a_path_works_as_well_as_a_name(flown, tmp_path):
 
 
 def test_the_command_of_a_manifest_can_be_typed_again(flown, tmp_path):
-    words = ["test1", "--set", "simulator.duration=1", "--engine", "rust", "--overwrite"]
+    words = ["test1", "--set", "simulator.duration=1", "--backend", "rust", "--overwrite"]
     assert main([*words, "--out", str(tmp_path)]) == 0
     command = json.loads((tmp_path / "test1" / "manifest.json").read_text())["command"]
     assert command.split("--out")[0].split() == ["jax-aero", "fly", *words]
@@ -246,12 +246,12 @@ def test_the_table_says_when_and_why_a_flight_fell():
     assert "max CoM error [cm]" in heading
     assert re.search(r"\s50\.0\s+91\.7\s+1\.0\s+\?$", row)
     down = fallen | {
-        "outcome": "descended",
+        "outcome": "landed",
         "lost_time": float("nan"),
         "lost_reason": "",
         "summary": {"end_speed": 1.23},
     }
-    assert "descended, arrives at 1.2 m/s" in outcome_table([down])
+    assert "landed, arrives at 1.2 m/s" in outcome_table([down])
 
 
 def test_paths_become_portable():

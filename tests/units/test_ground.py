@@ -257,7 +257,7 @@ def test_an_engine_that_stops_before_the_robot_leaves_the_ground_ends_the_take_o
     stops = {"jet": jet, "time": 2.64, "kind": "off", "decay": 0.0}
     changes = {"simulator.duration": 9.0, "disturbances.jets.failure": stops}
     result = fly(rust.load_config("take_off", changes))
-    assert result.outcome == "descended"
+    assert result.outcome == "landed"
     log = result.log
     assert (log["feet_carry"] == 1.0).all()
     assert log["thrust"][265].sum() > 50.0
@@ -274,7 +274,7 @@ def test_a_robot_that_loses_a_measurement_of_its_base_lands_and_stands(lost, sta
     outage = {"channel": lost, "start": start, "kind": "missing"}
     changes = {"simulator.duration": duration, "disturbances.outages": [outage]}
     result = fly(rust.load_config("take_off", changes))
-    assert result.outcome == "descended"
+    assert result.outcome == "landed"
     assert (result.log["feet_carry"][-200:] == 1.0).all()
     assert (result.log["degraded_modes"][-200:].astype(int) & MODES["descending"]).all()
 
@@ -372,7 +372,7 @@ def test_the_standing_qp_agrees_with_daqp(agree):
 
 def test_a_run_is_recorded_and_measured(frontal, tmp_path):
     robot = rust.Robot(standing()["robot"])
-    dataset = record.to_dataset(frontal, robot, title="t", config_digest="d", engine="mujoco")
+    dataset = record.to_dataset(frontal, robot, title="t", config_digest="d", backend="mujoco")
     assert dataset["foot_wrench"].dims == ("time", "foot", "six")
     assert dataset["foot"].values.tolist() == ["l_sole", "r_sole"]
     path = tmp_path / "run.nc"
@@ -399,7 +399,7 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
     ("overrides", "named"),
     [
         ({"controller.contact.wrench.friction": -1.0}, "wrench.friction` is -1"),
-        ({"engine": "rust"}, 'engine = "mujoco"'),
+        ({"backend": "rust"}, 'backend = "mujoco"'),
         ({"simulator.integrator": "explicit_euler"}, r'integrator is "explicit_euler"; expected "semi_implicit_euler"'),
         ({"simulator.kinematics": "frozen"}, 'kinematics is "frozen"; expected "current"'),
         ({"simulator.initial.base_velocity": [3.0, 0, 0, 0, 0, 0]}, r"base_velocity is \[3.0,0.0,0.0,0.0,0.0,0.0\]"),
@@ -441,7 +441,7 @@ def test_engines_refuse_what_they_do_not_know():
 def test_jax_refuses_feet_by_name():
     from jax_aero import sim
 
-    config = standing(engine="mujoco")
+    config = standing(backend="mujoco")
     for section, key in [
         ("simulator", "ground"),
         ("simulator", "motors"),

@@ -30,11 +30,11 @@ def test_configuration_files_and_numerics_count(named, monkeypatch):
 
 
 def test_a_result_from_before_there_were_versions_has_the_first(monkeypatch):
-    older = {"engine": "rust", "code_hash": "0"}
+    older = {"backend": "rust", "code_hash": "0"}
     assert identity.other_numerics(older) == ""
     monkeypatch.setitem(identity.VERSIONS, PYTHON, 2)
     assert identity.other_numerics(older) == ""
-    assert identity.other_numerics({"engine": "jax"}) == "other numerics (jax_aero 1 instead of 2)"
+    assert identity.other_numerics({"backend": "jax"}) == "other numerics (jax_aero 1 instead of 2)"
     monkeypatch.setitem(identity.VERSIONS, CRATE, 2)
     assert identity.other_numerics(older) == "other numerics (crate 1 instead of 2)"
 

@@ -28,7 +28,7 @@ def table():
 
 def test_numbers_are_leaves_and_names_are_structure(table):
     config, robot = scenario_config(table), load_robot(table["robot"])
-    assert n_ticks(config.simulator) == 5000
+    assert n_ticks(config) == 5000
     assert isinstance(config.controller.aero, AxisymmetricAeroConfig)
 
     def controller(**changes):
@@ -47,7 +47,7 @@ def test_numbers_are_leaves_and_names_are_structure(table):
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("simulator.time_step", 0.0101, "thrust_steepness`? is 2; expected at most 1.98"),
+        ("controller.time_step", 0.0101, "thrust_steepness`? is 2; expected at most 1.98"),
         ("controller.bounds.joint_steepness", 255.0, "joint_steepness`? is 255; expected at most 254.6"),
     ],
 )

@@ -116,7 +116,7 @@ def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
 
 
 def test_a_row_counts_every_outcome():
-    ends = ["completed", "descended", "descending", "off_course", "crashed", "crashed", "fell", "diverged"]
+    ends = ["completed", "landed", "landing", "off_course", "crashed", "crashed", "fell", "diverged"]
     row = dict(zip(keep.FIGURES, keep.figures(flown(outcome=ends)).values(), strict=True))
     assert (row["lost"], row["rotation_deg_worst"]) == (4, pytest.approx(2.0))
     shown = [of(row) for of in kept._quantities(made_up(shows=[])).values()]

@@ -31,7 +31,7 @@ def test_a_run_reads_back_as_it_was_flown(make_flight, robot, dataset, tmp_path)
         assert stored.attrs["outcome"] == "completed"
         assert np.isnan(stored.attrs["lost_time"])
         assert stored.attrs["lost_reason"] == ""
-        assert stored.attrs["engine"] == "rust"
+        assert stored.attrs["backend"] == "rust"
         assert stored.attrs["config_hash"] == "f" * 64
 
 

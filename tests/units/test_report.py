@@ -70,7 +70,7 @@ def write_sweep(results, name, cells, axes, **document):
         "axes": [{"name": axis, "label": axis, "unit": "", "levels": []} for axis in axes],
         "git": None,
         "rows": 10,
-        "engine": "rust",
+        "backend": "rust",
         "device": {"cores": 2},
         "finished": {
             "created": "",

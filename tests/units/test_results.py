@@ -190,7 +190,7 @@ def test_a_result_behind_a_link_is_overwritten_each_time(flown, tmp_path):
 
 def test_a_number_that_json_lacks_is_null_however_deep_it_stands():
     summary = {"a": np.inf, "flight": {"com_error": np.nan, "outcome": "fell"}}
-    document = manifest.build("x", "x", {}, Identity("0"), summary=summary, command=["x"], engine="rust")
+    document = manifest.build("x", "x", {}, Identity("0"), summary=summary, command=["x"], backend="rust")
     assert document["summary"] == {"a": None, "flight": {"com_error": None, "outcome": "fell"}}
 
 

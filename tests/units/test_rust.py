@@ -354,7 +354,7 @@ class Bodies:
 
     def __init__(self, config):
         self.robot = rust.Robot(config["robot"])
-        self.step = config["simulator"]["time_step"] / config["simulator"]["substeps"]
+        self.step = config["controller"]["time_step"] / config["simulator"]["substeps"]
         self.state = rust.Flight(config).truth.state
         self.torque = np.zeros(len(self.robot.joint_names))
 
@@ -381,7 +381,7 @@ def test_a_world_of_ones_own_is_flown_as_the_crates(measured):
         "simulator.substeps": 1,
         "simulator.joint_stops": False,  # the world in Python has none
         "simulator.initial.free_fall_tick": False,
-        "simulator.jets": {"dynamics": "second_order"},
+        "simulator.jets": {"dynamics": "throttled"},
         "simulator.actuation": {"torque_delay": 0.01},
         "simulator.sensors.joints.resolution": 0.0,  # steps of encoders amplify rounding
         "disturbances.pushes": [push],
@@ -431,7 +431,7 @@ def test_a_rotation_that_is_none_is_predicted_not_refused(factor):
 def test_a_measurement_may_have_speeds_of_shafts_in_place_of_thrusts():
     """A flight by speeds: what its controller is given is logged, may be handed back, and begins another flight."""
     shaft = tables.read(CONFIGS / "engines" / "jetcat_p300.toml")
-    jets = {"dynamics": "second_order", "feedback": "speed", "shaft": shaft}
+    jets = {"dynamics": "throttled", "feedback": "speed", "shaft": shaft}
     changes = {"simulator.duration": 0.05, "simulator.jets": jets, "controller.shaft": shaft}
     config = rust.load_config("robot", changes)
     whole, flight, controller = rust.fly(config), rust.Flight(config), rust.Controller(config)

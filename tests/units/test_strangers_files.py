@@ -275,7 +275,7 @@ def test_a_description_of_a_sweep_without_a_key_is_named(key, tmp_path):
     folder.mkdir(parents=True)
     (folder / "cells.parquet").touch()
     document = {
-        **dict.fromkeys(("title", "description", "panels", "config_digest", "engine"), ""),
+        **dict.fromkeys(("title", "description", "panels", "config_digest", "backend"), ""),
         **dict.fromkeys(("repeats", "seed", "rows"), 1),
         "drawing": "map",
         "design": "grid",

@@ -22,7 +22,7 @@ FLIGHTS: dict[str, dict[str, Any]] = {
         "controller.estimator.latency": {"torque": 0.008, "thrust": 0.025},
         "simulator.substeps": 2,
         "simulator.actuation": {"torque_delay": 0.005, "drop": 0.1},
-        "simulator.jets": {"dynamics": "second_order"},
+        "simulator.jets": {"dynamics": "throttled"},
         "disturbances.wind_estimate": {"delay": 0.1, "noise_std": 0.1},
         "disturbances.jets": {"lag": 0.02, "thrust_limit_scale": 0.9, "limit_is_known": True},
     },

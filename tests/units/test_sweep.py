@@ -222,7 +222,7 @@ def test_axes_may_set_parts_of_one_table():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"engine": "matlab"}, '`engine` is "matlab"; expected one of jax, mujoco, rust'),
+        ({"backend": "matlab"}, '`backend` is "matlab"; expected one of jax, mujoco, rust'),
         ({"colour": "red"}, "unknown key `colour`"),
         (
             {"axis": [{"name": "x", "key": "wind.speed", "low": 2, "high": 1}]},
@@ -296,7 +296,7 @@ def test_a_cell_that_cannot_fly_is_refused_before_the_first_flight(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"simulator": {"duration": 1.0}}, "`simulator.time_step` is missing"),
+        ({"simulator": {"duration": 1.0}}, "`controller.time_step` is missing"),
         ({"simulator.initial.thrust": 5.0}, "`simulator.initial.thrust` is 5.0; expected a list"),
         ({"wind.velocity": 5.0}, "`wind.velocity` is 5.0; expected a list of 3"),
         ({"wind.velocity": 5.0, "wind.speed": 3.0}, "to set wind.speed: `wind.velocity` is 5.0; expected a list of 3"),
@@ -333,10 +333,10 @@ def test_an_axis_may_vary_an_integer(values):
 
 
 def test_a_level_removes_what_may_be_absent():
-    levels = [{"label": "with", "set": {}}, {"label": "without", "set": {"controller.engines": False}}]
+    levels = [{"label": "with", "set": {}}, {"label": "without", "set": {"controller.fault_detection.engines": False}}]
     made = design(base="test2_observer", axis=[{"name": "engines", "level": levels}])
     with_them, without = (made.cell_config(cell)["controller"] for cell in range(2))
-    assert with_them.pop("engines")
+    assert with_them["fault_detection"].pop("engines")
     assert with_them == without
     made.check()
 
@@ -608,11 +608,11 @@ def test_cells_that_their_labels_do_not_tell_are_refused(axes, words):
     "change",
     [
         {"base": "balancing_front"},
-        {"axis": [{"name": "engine", "level": [{"label": "jax", "set": {"engine": "jax"}}]}]},
+        {"axis": [{"name": "engine", "level": [{"label": "jax", "set": {"backend": "jax"}}]}]},
     ],
 )
 def test_a_cell_of_another_engine_is_refused_before_the_first_flight(change):
-    with pytest.raises(Refused, match=r"cell 0 .*: `engine` of the flight is '(mujoco|jax)'; expected 'rust', as of"):
+    with pytest.raises(Refused, match=r"cell 0 .*: `backend` of the flight is '(mujoco|jax)'; expected 'rust', as of"):
         design(**change).check()
 
 
@@ -621,8 +621,8 @@ def test_a_cell_of_another_engine_is_refused_before_the_first_flight(change):
     [
         ("completed", 0.0, {"completed", "upright", "on_course"}),
         ("completed", np.nan, {"completed", "upright"}),
-        ("descended", 0.0, {"descended", "upright"}),
-        ("descending", 0.0, {"descending"}),
+        ("landed", 0.0, {"landed", "upright"}),
+        ("landing", 0.0, {"landing"}),
         ("crashed", 0.0, {"crashed", "unwarned"}),
         ("fell", 0.0, {"fell", "unwarned"}),
     ],
@@ -638,8 +638,8 @@ def test_a_flight_counts_by_how_it_ends(outcome, com_error, counted):
 def test_what_the_guard_finds_is_unknown_of_jax():
     summary = dict.fromkeys(rust.figures(), 1.0)
     result = rust.FlightResult({}, np.zeros(0), "completed", None, None, summary)
-    for engine, known in (("rust", 1.0), ("jax", None)):
-        made = design(engine=engine, repeats=1)
+    for backend, known in (("rust", 1.0), ("jax", None)):
+        made = design(backend=backend, repeats=1)
         flown = table.rows(made.spec, made.cells, [0], [made.row_config(0)], [result])
         row = flown.to_pylist()[0]
         assert {row[name] for name in table.OF_GUARD} == {known}
@@ -732,10 +732,10 @@ def test_the_cells_of_a_sweep_are_printed_unless_they_are_many(flown, monkeypatc
     assert (first.split(" & ")[:3], end) == (["5", r"published \ensuremath{-} corrected", "3"], r"\end{tabular}")
 
 
-@pytest.mark.parametrize("engine", ["jax", "mujoco"])
-def test_a_sweep_says_by_which_version_of_its_engine_it_is_flown(engine):
-    assert run._document(design(engine=engine), places.RESULTS)["versions"][engine] == importlib.metadata.version(
-        engine
+@pytest.mark.parametrize("backend", ["jax", "mujoco"])
+def test_a_sweep_says_by_which_version_of_its_back_end_it_is_flown(backend):
+    assert run._document(design(backend=backend), places.RESULTS)["versions"][backend] == importlib.metadata.version(
+        backend
     )
 
 
@@ -841,7 +841,7 @@ def test_a_flight_that_fails_is_recorded_and_said_and_the_others_go_on(tmp_path,
     [
         ({"set": {"simulator.duration": -0.5}}, "`simulator.duration` is -0.5"),
         ({"set": {"simulator.duration": "long"}}, '`simulator.duration` is "long"'),
-        ({"engine": "jax", "set": {"engine": "jax"}}, 'engine = "jax" needs `nowhere.jax`'),
+        ({"backend": "jax", "set": {"backend": "jax"}}, 'backend = "jax" needs `nowhere.jax`'),
     ],
 )
 def test_a_sweep_that_cannot_fly_overwrites_nothing(tmp_path, monkeypatch, change, words):

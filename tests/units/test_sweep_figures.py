@@ -37,8 +37,8 @@ def write(folder, name, drawing, axes, panels="world"):
         record = {"cell": index, **dict(zip(axes, labels, strict=True)), "flights": 8, "errors": 0}
         for share in ("completed", "upright"):
             record |= {share: index % 9, f"{share}_low": 0.1, f"{share}_high": 0.9}
-        record |= {"descended": index % 4, "off_course": index % 2, "fell": index % 3}
-        record |= dict.fromkeys(("descending", "crashed", "diverged", "unwarned"), 0)
+        record |= {"landed": index % 4, "off_course": index % 2, "fell": index % 3}
+        record |= dict.fromkeys(("landing", "crashed", "diverged", "unwarned"), 0)
         for quantity in ("rotation_error_deg", "com_error"):
             record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("p10", "median", "p90"))}
             record[f"{quantity}_worst"] = None if index == 1 else 3.0 * index
@@ -182,8 +182,8 @@ def test_a_pair_is_as_bad_as_its_worst_flight():
     """None, down, off course, lost with a warning, lost without one; what was not flown has no number."""
     levels = ["a", "b", "c", "d"]
     ends = {
-        ("a", "b"): {}, ("a", "c"): {"off_course": 1}, ("a", "d"): {"descended": 2, "off_course": 1, "crashed": 1},
-        ("b", "c"): {"descended": 3}, ("b", "d"): {"fell": 2, "unwarned": 1}, ("c", "d"): {"descending": 1},
+        ("a", "b"): {}, ("a", "c"): {"off_course": 1}, ("a", "d"): {"landed": 2, "off_course": 1, "crashed": 1},
+        ("b", "c"): {"landed": 3}, ("b", "d"): {"fell": 2, "unwarned": 1}, ("c", "d"): {"landing": 1},
     }  # fmt: skip
     none = dict.fromkeys((*pairs.COUNTS, *LOST), 0)
     cells = [{"x": x, "x_2": y} | none | end for (x, y), end in ends.items()]

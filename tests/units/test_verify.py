@@ -256,7 +256,7 @@ def test_another_controller_takes_the_place_of_the_flights(tmp_path, capsys):
     options = cli._parse(["--config", "test1", "--controller", str(observer), "--set", "simulator.duration=1"])
     found = cli._config(options)
     assert found["controller"] != controller["controller"]
-    assert found["controller"]["observer"]
+    assert found["controller"]["disturbance_observer"]
     assert found["simulator"]["duration"] == 1
     assert cli.main(["--config", "nowhere", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: there is no `nowhere`")

@@ -50,7 +50,7 @@ def gyration():
 
 def changeable(config) -> tuple[Scenario, FlightState]:
     """Return JAX's flight with a leaf for every error: of plant and controller apart, of commands that may be late."""
-    step = config["simulator"]["time_step"]
+    step = config["controller"]["time_step"]
     late = {"simulator.actuation": {"torque_delay": step, "thrust_delay": step}}
     scenario, start = prepare(rust.set_keys(config, late))
     world, robot, one = scenario.plant, scenario.plant.robot, np.ones(())

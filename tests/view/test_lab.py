@@ -181,7 +181,7 @@ def test_published_arms_are_the_published_flights():
 
 
 @needs_node
-@pytest.mark.parametrize(("controller", "name"), [("observer", "test1_observer"), ("ahead", "test2_mpc")])
+@pytest.mark.parametrize(("controller", "name"), [("observer", "test1_observer"), ("mpc", "test2_mpc")])
 def test_a_chosen_controller_is_that_of_its_file(controller, name):
     config = rust.resolve_config(changed("test1", {"controller": controller}))
     assert config["controller"] == about(name)["config"]["controller"]
@@ -227,7 +227,7 @@ def test_what_is_not_chosen_is_kept():
 @pytest.mark.parametrize("arms", ["corrected", "published"])
 @pytest.mark.parametrize("air", ["axisymmetric", "printed", "signed", "alternative", "network", "spheres", "off"])
 def test_every_choice_of_the_predictive_law_is_a_flight(air, arms):
-    found = changed("test1", {"controller": "ahead", "air": air, "arms": arms, "kp": 3.0})
+    found = changed("test1", {"controller": "mpc", "air": air, "arms": arms, "kp": 3.0})
     is_linear = arms == "corrected" and air not in ("network", "spheres")
     assert found["controller"]["mpc"]["air"] == ("linear" if is_linear else "constant")
     rust.check_config(found)

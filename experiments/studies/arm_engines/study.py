@@ -55,7 +55,7 @@ def compute(_: str, asked: ArmEngines) -> Findings:
     return Findings("Engines of the arms", data, found, flights=flights, inputs=inputs, files=[ROBOT])
 
 
-STUDY = Study("arm_engines", __doc__, ArmEngines, compute, ("paper",), engine="rust")
+STUDY = Study("arm_engines", __doc__, ArmEngines, compute, ("paper",), backend="rust")
 main = STUDY.main
 
 

@@ -1,4 +1,4 @@
-"""Flights of designs in a robot's world, block by block."""
+"""Flights of designs in the realistic simulation, block by block."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Which iRonCub should be built to fly in wind: sensitivities, designs of iRonCub-Mk3, the best of them again.
 
 `jax-aero study design [PART]`: `sensitivities` of a hover in wind to every number of both robots, by one gradient;
-`designs`, flights of designs in a robot's world; `confirmed`, the best of these with other draws, which reads
+`designs`, flights of designs in the realistic simulation; `confirmed`, the best of these with other draws, which reads
 `results/design/designs/`. An interrupted part goes on with the next block. `--set cluster=ray` spreads blocks over a
 Ray cluster.
 """
@@ -284,7 +284,7 @@ STUDY = Study(
     DesignConfig,
     compute,
     tuple(PARTS),
-    engine="jax",
+    backend="jax",
     resumes=True,
 )
 main = STUDY.main

@@ -69,7 +69,7 @@ def descent(every: int) -> list[Row]:
     """Let an engine fade or stop at once, and fly on beyond 90 deg down to the height of the start."""
 
     def failures() -> Iterator[Failure]:
-        unmonitored = rust.load_config(EXACT, {"controller.engines.deviation_max": 1e6})["controller"]
+        unmonitored = rust.load_config(EXACT, {"controller.fault_detection.engines.deviation_max": 1e6})["controller"]
         for watched, decay, jets, since in product((True, False), (0.5, 0.0), (ARMS, CHEST), (18.0, 28.0)):
             what = "fades" if decay else "stops at once"
             case = (
@@ -119,7 +119,7 @@ def greatest_distance(experiment: str, start: int, pause: int) -> float:
     still = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
     config = rust.load_config(experiment, {"wind": still, "simulator.fall": anywhere})
     controller, flight = rust.Controller(config), rust.Flight(config)
-    step = config["simulator"]["time_step"]
+    step = config["controller"]["time_step"]
     acceleration = step * np.cumsum(JERK)
     velocity = step * np.cumsum(acceleration)
     climb = np.array([step * np.cumsum(velocity), velocity, acceleration, JERK]).T

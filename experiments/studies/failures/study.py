@@ -60,7 +60,7 @@ def compute(part: str, asked: Failures) -> Findings:
     return Findings(f"Failures: {part}", data, rows, flights=bases)
 
 
-STUDY = Study("failures", __doc__, Failures, compute, tuple(PARTS), engine="rust")
+STUDY = Study("failures", __doc__, Failures, compute, tuple(PARTS), backend="rust")
 main = STUDY.main
 
 

@@ -73,7 +73,7 @@ def compute(_: str, settings: Truths) -> Findings:
     )
 
 
-STUDY = Study("hidden_truth", __doc__, Truths, compute, ("ten",), engine="rust and jax")
+STUDY = Study("hidden_truth", __doc__, Truths, compute, ("ten",), backend="rust and jax")
 main = STUDY.main
 
 

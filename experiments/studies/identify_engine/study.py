@@ -1,7 +1,7 @@
 """An engine identified from a log of a test bench.
 
 `jax-aero study identify_engine NAME --set bench=FILE` reads a dataset of `jax-aero data import-bench` with speeds of
-the shaft, thrusts, or both, and identifies an engine of the shaft's speed (M176, `shaft`), and M32 (`second_order`)
+the shaft, thrusts, or both, and identifies an engine of the shaft's speed (M176, `shaft`), and M32 (`throttled`)
 beside it from the thrusts. `span` is the time of the run. Every 5 s of it are also predicted by the fit to the rest,
 and with `test` another run, from its first sample.
 
@@ -97,5 +97,5 @@ def of_second_order(run: shaft.Run) -> tuple[Array, Array]:
     return fitted_to(block >= 0), held_out
 
 
-STUDY = Study("identify_engine", __doc__, EngineLogs, compute, ("engine",), engine="jax")
+STUDY = Study("identify_engine", __doc__, EngineLogs, compute, ("engine",), backend="jax")
 main = STUDY.main

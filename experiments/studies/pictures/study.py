@@ -70,7 +70,7 @@ def compute(_: str, asked: Pictures) -> Findings:
     return Findings("Pictures of the paper", data, {"postures": len(named)}, files=[path, ROBOT, POSTURES])
 
 
-STUDY = Study("pictures", __doc__, Pictures, compute, ("paper",), engine="mujoco")
+STUDY = Study("pictures", __doc__, Pictures, compute, ("paper",), backend="mujoco")
 main = STUDY.main
 
 

@@ -161,7 +161,7 @@ STUDY = Study(
     PolicyConfig,
     compute,
     ("hover",),
-    engine="jax",
+    backend="jax",
     resumes=True,
 )
 main = STUDY.main

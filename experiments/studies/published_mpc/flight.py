@@ -60,8 +60,10 @@ class Published:
         self.has_begun = True
         body, _, _ = self.reader.read(start.state)
         simulator = self.config["simulator"]
-        longer = simulator | {"time_step": plan.PERIOD, "duration": simulator["duration"] + 2.0}
-        reference = rust.setpoint_trajectory({**self.config, "simulator": longer}, body.com, body.rotation)
+        longer = simulator | {"duration": simulator["duration"] + 2.0}
+        controller = self.config["controller"] | {"time_step": plan.PERIOD}
+        planned = {**self.config, "simulator": longer, "controller": controller}
+        reference = rust.setpoint_trajectory(planned, body.com, body.rotation)
         self.positions, self.velocities = reference["com_position"], reference["com_velocity"]
         self.attitudes = np.array([model.rpy(one) for one in reference["rotation"]])
         self.first_joints = np.array(start.state.joint_position)

@@ -69,7 +69,11 @@ PUBLISHED = {
 }
 STIFF = {"controller.torque.kp": 2500.0, "controller.torque.kd": 100.0}
 """Joints of the published controller: 50 rad/s, critically damped [1/s², 1/s]."""
-WITHOUT = {"controller.aero": {"model": "off"}, "controller.observer": False, "controller.engines": False}
+WITHOUT = {
+    "controller.aero": {"model": "off"},
+    "controller.disturbance_observer": False,
+    "controller.fault_detection.engines": False,
+}
 OURS: dict[str, tuple[str, dict[str, Any]]] = {
     "recommended": ("mk3_min_jerk", {}),
     "predictive": ("mk3_min_jerk_mpc", {}),
@@ -137,7 +141,7 @@ def compute(_: str, asked: Compared, work: Work) -> Findings:
     return Findings("Published MPC and ours", data, rows, flights=bases, inputs=inputs, files=files, report=report)
 
 
-STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), engine="rust", resumes=True)
+STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), backend="rust", resumes=True)
 main = STUDY.main
 
 
@@ -164,10 +168,10 @@ def configure(controller: str, case: Case, repeat: int, duration: float) -> rust
         settings["wind"] = {"profile": "turbulent", "velocity": settings.pop("wind.velocity"), "std": std, **ramp}
         settings["wind"]["time_scale"] = 2.0
     if controller in PUBLISHED:
-        settings["simulator.time_step"] = plan.PERIOD  # with engines of its own
+        settings["controller.time_step"] = plan.PERIOD  # with engines of its own
         settings |= WITHOUT | STIFF  # of the configuration's controller only set-point and these gains count
     else:
-        settings["simulator.jets.dynamics"] = "second_order"
+        settings["simulator.jets.dynamics"] = "throttled"
     config = rust.load_config(base, settings)
     tables.load(PERTURBATION, Perturbation).apply(config, 0, repeat, rust.Robot(config["robot"]))
     return rust.resolve_config(config)

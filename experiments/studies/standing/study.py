@@ -198,5 +198,5 @@ def to_dataset(recorded: Mapping[str, Array], computed: Mapping[str, Mapping[str
     )
 
 
-STUDY = Study("standing", __doc__, StandingConfig, compute, ("front", "lateral"), engine="rust")
+STUDY = Study("standing", __doc__, StandingConfig, compute, ("front", "lateral"), backend="rust")
 main = STUDY.main

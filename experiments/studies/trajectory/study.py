@@ -82,7 +82,7 @@ def fly(base: Mapping[str, Any], text: str, duration: float) -> rust.FlightResul
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "reference.csv"
         file.write_text(text, encoding="utf-8")
-        step = base["simulator"]["time_step"]
+        step = base["controller"]["time_step"]
         simulator = {**base["simulator"], "duration": round(duration / step) * step}
         return rust.fly({**base, "simulator": simulator, "mission": {"file": str(file)}})
 

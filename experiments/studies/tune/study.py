@@ -94,7 +94,7 @@ STUDY = Study(
     TuneConfig,
     compute,
     ("aero_aware",),
-    engine="jax",
+    backend="jax",
     resumes=True,
 )
 main = STUDY.main

@@ -110,7 +110,7 @@ def compute(_: str, config: TunnelConfig) -> Findings:
     return Findings("Force areas of iRonCub-Mk3 beside the wind tunnel", to_dataset(points, modelled), summary)
 
 
-STUDY = Study("tunnel_mk3", __doc__, TunnelConfig, compute, ("december",), engine="jax")
+STUDY = Study("tunnel_mk3", __doc__, TunnelConfig, compute, ("december",), backend="jax")
 main = STUDY.main
 
 

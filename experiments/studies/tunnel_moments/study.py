@@ -59,7 +59,7 @@ def compute(_: str, config: MomentsConfig) -> Findings:
     return Findings("Models' moments beside the wind tunnel", result, figures, inputs=inputs, files=MODEL_FILES)
 
 
-STUDY = Study("tunnel_moments", __doc__, MomentsConfig, compute, ("mk1",), engine="jax")
+STUDY = Study("tunnel_moments", __doc__, MomentsConfig, compute, ("mk1",), backend="jax")
 main = STUDY.main
 
 

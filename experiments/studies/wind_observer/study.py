@@ -88,7 +88,7 @@ def compute(_: str, asked: WindEstimate) -> Findings:
     return Findings("Wind from the wrench", data, found, flights=flights, files=[PERTURBATION])
 
 
-STUDY = Study("wind_observer", __doc__, WindEstimate, compute, ("turbulence",), engine="rust")
+STUDY = Study("wind_observer", __doc__, WindEstimate, compute, ("turbulence",), backend="rust")
 main = STUDY.main
 
 

@@ -18,8 +18,8 @@ from jaxtyping import Float
 
 from jax_aero.base.features import aim_of, features
 from jax_aero.body.robot import RobotModel
-from jax_aero.control.guard import observer
-from jax_aero.control.guard.observer import ObserverGains
+from jax_aero.control.estimate import disturbance_observer
+from jax_aero.control.estimate.disturbance_observer import ObserverGains
 from jax_aero.control.law.rates import Rates
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
@@ -147,5 +147,5 @@ def steer(
     modes = rates.modes | jnp.where(is_finite, 0, MODES["residual_ignored"])
     gain, most = (jnp.asarray(number, last.wrench.dtype) for number in (OBSERVER_GAIN, jnp.inf))
     gains, momentum, rate = ObserverGains(gain, gain, most, most), model.dynamics.momentum, model.momentum.rate_estimate
-    observed = observer.update(gains, time_step, last, momentum, rate)
+    observed = disturbance_observer.update(gains, time_step, last, momentum, rate)
     return memory._replace(residual=observed), rates._replace(**chosen._asdict(), modes=modes), added

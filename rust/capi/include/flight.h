@@ -44,8 +44,8 @@ typedef enum FlightMode {
   FLIGHT_JOINT_LIMITED = 4096,
   // The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
   FLIGHT_MEASUREMENT_IGNORED = 8192,
-  // The flight strays from its set-point.
-  FLIGHT_STRAYING = 16384,
+  // The flight is too far from its set-point, or its joints are too fast.
+  FLIGHT_TRACKING_ERROR = 16384,
   // The residual of a policy, or a given one, is not finite and not used.
   FLIGHT_RESIDUAL_IGNORED = 32768,
   // Commands act later or earlier than the controller knows.

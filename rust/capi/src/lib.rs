@@ -225,7 +225,7 @@ impl FlightController {
         let (joints, feet) = (controller.model().joints.len(), controller.model().feet.len());
         Ok(Self {
             flight: None,
-            time_step: scenario.simulator.time_step,
+            time_step: scenario.controller.law.time_step,
             torque_steps: scenario.controller.law.torque.steps,
             joint_names,
             jet_names,
@@ -370,11 +370,10 @@ impl FlightRobot {
         let scenario = load_scenario(path)?;
         let robot = load_robot(&scenario.robot)?;
         let (simulator, disturbances) = (&scenario.simulator, &scenario.disturbances);
-        let torque_steps = scenario.controller.law.torque.steps;
         Ok(Self {
-            plant: Plant::with_torque_steps(robot, simulator, disturbances, torque_steps)?,
+            plant: Plant::new(robot, simulator, disturbances, &scenario.controller.law)?,
             wind: Wind::new(&scenario.wind)?,
-            time_step: scenario.simulator.time_step,
+            time_step: scenario.controller.law.time_step,
             ticks: 0,
             has_panicked: false,
         })

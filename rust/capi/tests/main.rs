@@ -134,7 +134,7 @@ impl Arrays {
 
 /// A second of flight through C and through the crate, each measurement with every field different from zero: the
 /// same bits in every tick. A field that is copied to a wrong place or by columns would differ. With the future of
-/// set-points and wind, with a state estimator, with throttles in a robot's world, and with a learned policy too.
+/// set-points and wind, with a state estimator, with throttles in the realistic simulation, and with a learned policy too.
 #[test]
 fn flights_through_c_are_those_of_the_crate() {
     for name in ["test2", "test2_mpc", "test2_sensors", "robot", "test1_policy"] {
@@ -146,14 +146,16 @@ fn fly_both(name: &str) {
     let scenario = load_scenario(&config(name)).unwrap();
     let robot = load_robot(&scenario.robot).unwrap();
     let (joints, jets) = (robot.joints.len(), robot.jets.len());
-    let mut plant = Plant::new(robot.clone(), &scenario.simulator, &scenario.disturbances).unwrap();
+    let mut plant =
+        Plant::new(robot.clone(), &scenario.simulator, &scenario.disturbances, &scenario.controller.law)
+            .unwrap();
     let mut controller = scenario.controller(robot).unwrap();
     let c = create(&config(name)).unwrap();
     let mut arrays = Arrays::new(joints, jets);
     let wind = Vector3::new(3.0, -4.0, 0.5);
     let mut flight = None;
     for tick in 0..100 {
-        let time = f64::from(tick) * scenario.simulator.time_step;
+        let time = f64::from(tick) * scenario.controller.law.time_step;
         plant.observe(&wind);
         let (state, thrust) = (plant.state(), plant.jets().thrust_feedback());
         let measurement = Measurement {
@@ -276,7 +278,7 @@ fn fly_both(name: &str) {
             });
             assert_eq!((allocated, status), (0, FlightStatus::FlightOk));
         }
-        plant.advance(&arrays.torque, &arrays.thrust_rate, &wind, scenario.simulator.time_step);
+        plant.advance(&arrays.torque, &arrays.thrust_rate, &wind, scenario.controller.law.time_step);
     }
     assert!(plant.state().base.rotation != Matrix3::identity(), "the rotation was never looked at");
 }
@@ -291,7 +293,7 @@ fn names_and_counts_are_those_of_the_robot() {
         assert_eq!(flight_jet_count(c.0), robot.jets.len());
         assert_eq!(flight_foot_count(c.0), 0, "this controller stands on no foot");
         assert_eq!(flight_foot_count(create(&config("balancing_front")).unwrap().0), robot.feet.len());
-        assert!((flight_time_step(c.0) - scenario.simulator.time_step).abs() == 0.0);
+        assert!((flight_time_step(c.0) - scenario.controller.law.time_step).abs() == 0.0);
         for (index, joint) in robot.joints.iter().enumerate() {
             assert_eq!(text(flight_joint_name(c.0, index)).as_ref(), Some(&joint.name));
         }

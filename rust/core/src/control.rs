@@ -40,7 +40,6 @@ pub(crate) mod terms;
 pub(crate) mod tick;
 
 pub use command::{BadCommand, Command};
-pub use config::check_time_step;
 pub use estimate::joint_tracker::JointMeasurement;
 pub use measure::measurement::{BadStart, Estimate, Measurement};
 pub use modes::Modes;

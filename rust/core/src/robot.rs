@@ -72,7 +72,7 @@ impl RobotModel {
     /// What a controller assumes of the jets.
     #[must_use]
     pub fn jet_models(&self, dynamics: JetDynamics) -> Vec<JetModel> {
-        let engine = |jet: &Jet| (dynamics == JetDynamics::SecondOrder).then_some(jet.engine);
+        let engine = |jet: &Jet| (dynamics == JetDynamics::Throttled).then_some(jet.engine);
         self.jets.iter().map(|jet| JetModel { thrust_min: jet.thrust_min, engine: engine(jet) }).collect()
     }
 

@@ -6,7 +6,7 @@
 use crate::common::{Running, TIME_STEP, assert_within, at, experiment, move_state, random_state, rng};
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::detect::engines::EnginesConfig;
-use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig};
 use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_core::control::law::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
 use flight_core::control::law::setpoint::Setpoint;
@@ -31,7 +31,7 @@ fn contact_config() -> ContactConfig {
 fn controller(change: impl FnOnce(&mut ControllerConfig)) -> Running {
     let ScenarioConfig { robot, mut controller, mission, .. } = standing();
     change(&mut controller.law);
-    Running::new(load_controller(load_robot(&robot).unwrap(), &controller, &mission, TIME_STEP).unwrap())
+    Running::new(load_controller(load_robot(&robot).unwrap(), &controller, &mission).unwrap())
 }
 
 /// The left foot; the right one has the same limits.
@@ -105,7 +105,7 @@ fn able_to_take_off_with(
 ) -> (Running, RobotState) {
     let mut config = experiment("take_off");
     let law = &mut config.controller.law;
-    change(law.contact.as_mut().unwrap().load_transfer.as_mut().unwrap(), &mut law.engines);
+    change(law.contact.as_mut().unwrap().load_transfer.as_mut().unwrap(), &mut law.fault_detection.engines);
     let controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
     (controller, config.simulator.initial.state())
 }
@@ -582,7 +582,7 @@ fn the_ground_is_no_wind() {
 /// A robot that stands is estimated to stand: its feet are part of the model that runs ahead of late measurements.
 #[test]
 fn a_robot_that_stands_is_not_estimated_to_fall() {
-    let late = ChannelConfig { delay: 0.05, time_constant: 0.1 };
+    let late = FilterConfig { delay: 0.05, time_constant: 0.1 };
     let mut standing = controller(|law| {
         law.estimator = Some(EstimatorConfig {
             base_position: late,
@@ -676,7 +676,7 @@ fn the_law_of_a_lost_engine_is_that_of_the_air() {
             let engines = engines.as_mut().unwrap();
             (engines.deviation_max, engines.confirmation) = (3.0, 0.0);
             let descent = engines.descent.as_mut().unwrap();
-            (descent.range_share_min, descent.momentum.c0) = (1e6, factor * descent.momentum.c0);
+            (descent.range_fraction_min, descent.momentum.c0) = (1e6, factor * descent.momentum.c0);
         })
     });
     let [(mut low, mut state), (mut high, _)] = controllers;
@@ -731,7 +731,7 @@ fn clarabel_commands_the_same() {
 #[test]
 fn unsound_feet_are_predicted_and_a_missing_one_is_a_bad_measurement() {
     let mut controller = controller(|config| {
-        config.observer = experiment("test2_observer").controller.law.observer;
+        config.disturbance_observer = experiment("test2_observer").controller.law.disturbance_observer;
     });
     let (state, mut time) = (at_rest(), 0.0);
     let mut tick = |feet: &[Vector6<f64>]| {
@@ -788,10 +788,13 @@ fn bad_numbers_are_refused_by_name() {
         contact(c).load_transfer = Some(LoadTransfer { unmodelled_force_max: Some(0.0), ..transfer });
     });
     let mut blind = experiment("take_off").controller.law;
-    blind.observer = None;
-    blind.engines = None;
+    blind.disturbance_observer = None;
+    blind.fault_detection.engines = None;
     let said = blind.check(&crate::common::robot("ironcub_mk1")).expect_err("refused").to_string();
-    assert!(said.contains("unmodelled_force_max is 50; expected none without controller.observer"), "{said}");
+    assert!(
+        said.contains("unmodelled_force_max is 50; expected none without controller.disturbance_observer"),
+        "{said}"
+    );
     refused(&["controller.contact.feet is []", "at least one"], |c| contact(c).feet.clear());
     refused(&["controller.contact.feet", "`l_sloe`", "l_sole"], |c| contact(c).feet[0] = "l_sloe".into());
     refused(&["controller.contact.feet", "`r_sole`", "more than once"], |c| {
@@ -802,8 +805,8 @@ fn bad_numbers_are_refused_by_name() {
     });
     refused(&["simulator.ground is absent", "take_off.toml"], |c| c.simulator.ground = None);
     refused(&["controller.contact is absent"], |c| c.controller.law.contact = None);
-    refused(&["simulator.ground is given", "engine = \"mujoco\""], |c| {
-        c.engine = flight_sim::Engine::Rust;
+    refused(&["simulator.ground is given", "backend = \"mujoco\""], |c| {
+        c.backend = flight_sim::Backend::Rust;
     });
     assert!(Scenario::new(&standing()).is_err(), "this engine has no ground");
     let said = experiment("test2");

@@ -9,7 +9,7 @@ use crate::common::{
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::config::Solver;
-use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig, LatencyConfig};
+use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig, LatencyConfig};
 use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_core::control::law::bounds::LimitedValues;
 use flight_core::control::law::momentum::RateFeedback;
@@ -49,7 +49,8 @@ impl Sample for Measurement {
     /// The robot as its flight starts.
     fn start(config: &ScenarioConfig) -> Self {
         let robot = load_robot(&config.robot).unwrap();
-        let plant = Plant::new(robot, &config.simulator, &config.disturbances).unwrap();
+        let plant =
+            Plant::new(robot, &config.simulator, &config.disturbances, &config.controller.law).unwrap();
         Self { wind: wind(), ..at(0.0, plant.state(), plant.jets().thrust()) }
     }
 
@@ -219,7 +220,7 @@ fn a_flight_begins_without_a_wind() {
 /// First thrusts and a first wind that are not accepted count as none, in the law as in an estimator.
 #[test]
 fn a_flight_begins_without_what_is_not_accepted() {
-    let late = uniform_estimator(ChannelConfig { delay: 3.0 * TIME_STEP, time_constant: 0.0 });
+    let late = uniform_estimator(FilterConfig { delay: 3.0 * TIME_STEP, time_constant: 0.0 });
     for estimator in [None, Some(late)] {
         let mut config = experiment("test2");
         config.controller.law.estimator = estimator;
@@ -361,7 +362,7 @@ fn time_goes_on_without_a_measurement() {
 /// measured afterwards is no jump, and what is not is known.
 #[test]
 fn predictions_go_on_while_measurements_are_bad() {
-    let blind = uniform_estimator(ChannelConfig { delay: 0.0, time_constant: 1e9 });
+    let blind = uniform_estimator(FilterConfig { delay: 0.0, time_constant: 1e9 });
     for estimator in [None, Some(blind)] {
         let mut config = experiment("test2");
         config.simulator.joint_stops = false;
@@ -399,7 +400,7 @@ fn predictions_go_on_while_measurements_are_bad() {
 /// is measured, and that of an estimator, which hardly looks at what is.
 #[test]
 fn predictions_follow_a_replaced_command() {
-    let estimator = uniform_estimator(ChannelConfig { delay: 0.0, time_constant: 1e9 });
+    let estimator = uniform_estimator(FilterConfig { delay: 0.0, time_constant: 1e9 });
     for estimator in [None, Some(estimator)] {
         let mut config = experiment("test2");
         config.simulator.joint_stops = false;
@@ -481,7 +482,7 @@ fn a_controller_that_pauses_flies_on() {
     estimating.controller.law.estimator =
         Some(EstimatorConfig { joint_observer: Some(0.05), ..EstimatorConfig::default() });
     for mut config in [observed, estimating] {
-        config.controller.law.supervisor = None; // the set-point's attitude is another one
+        config.controller.law.fault_detection.tracking_error = None; // the set-point's attitude is another one
         let mut world = Loop::new(&config);
         world.run(1.0, |_| Vector3::zeros());
         world.advance(&Vector3::zeros());
@@ -542,7 +543,7 @@ fn an_observer_of_joints_needs_no_velocities() {
 #[test]
 fn the_law_is_given_what_the_estimators_make() {
     let mut config = experiment("test2");
-    let slow = ChannelConfig { delay: 0.0, time_constant: 1e9 };
+    let slow = FilterConfig { delay: 0.0, time_constant: 1e9 };
     let estimator = EstimatorConfig { base_position: slow, ..EstimatorConfig::default() };
     config.controller.law.estimator = Some(estimator);
     config.controller.law.wind_observer = Some(WindObserverConfig {});
@@ -597,12 +598,12 @@ fn a_replaced_command_continues_from_a_restored_state() {
 #[test]
 fn a_restored_state_continues_to_the_same_bits() {
     let mut estimating = experiment("test2_observer");
-    let late = ChannelConfig { delay: 0.02, time_constant: 0.05 };
+    let late = FilterConfig { delay: 0.02, time_constant: 0.05 };
     let estimator = EstimatorConfig { base_position: late, ..EstimatorConfig::default() };
     estimating.controller.law.estimator = Some(estimator);
     estimating.controller.law.wind_observer = Some(WindObserverConfig {});
     let mut planning = experiment("test2_mpc");
-    planning.controller.law.jet_dynamics = JetDynamics::SecondOrder;
+    planning.controller.law.jet_dynamics = JetDynamics::Throttled;
     let missions = ["test1", "test2", "closed_circuit", "test4"].map(|name| (name, experiment(name)));
     let others = [("estimators", estimating), ("a plan, in ticks between plans", planning)];
     for (name, config) in missions.into_iter().chain(others) {
@@ -635,8 +636,11 @@ fn a_state_of_other_stages_is_refused() {
     config.controller.law.estimator = Some(EstimatorConfig::default());
     config.controller.law.wind_observer = Some(WindObserverConfig {});
     let forget: [fn(&mut ScenarioConfig); 5] = [
-        |config| config.controller.law.engines = None,
-        |config| (config.controller.law.engines, config.controller.law.observer) = (None, None),
+        |config| config.controller.law.fault_detection.engines = None,
+        |config| {
+            (config.controller.law.fault_detection.engines, config.controller.law.disturbance_observer) =
+                (None, None)
+        },
         |config| config.controller.law.estimator = None,
         |config| config.controller.law.wind_observer = None,
         |config| config.controller.law.use_jets = false,
@@ -661,7 +665,7 @@ fn a_state_of_other_stages_is_refused() {
 #[test]
 fn throttles_follow_the_rates_that_act() {
     let mut config = experiment("test2_observer");
-    config.controller.law.jet_dynamics = JetDynamics::SecondOrder;
+    config.controller.law.jet_dynamics = JetDynamics::Throttled;
     let (mut ticked, sample) = (controller(&config), Measurement::start(&config));
     let command = sample.tick(&mut ticked).clone();
     let Running { controller: law, state } = &mut ticked;
@@ -672,8 +676,8 @@ fn throttles_follow_the_rates_that_act() {
     let (faster, held) = (throttle(&[5.0; 4]), throttle(&[0.0; 4]));
     assert!(faster.iter().zip(&held).all(|(faster, held)| faster > held), "{faster} {held}");
     assert_eq!(throttle(command.thrust_rate.as_slice()), command.throttle);
-    config.controller.law.observer = None;
-    config.controller.law.engines = None;
+    config.controller.law.disturbance_observer = None;
+    config.controller.law.fault_detection.engines = None;
     let mut other = controller(&config);
     sample.tick(&mut other);
     ticked.state = other.state;
@@ -1224,7 +1228,7 @@ fn bad_numbers_are_refused_by_key() {
     const NAN: f64 = f64::NAN;
     let refusals: [Refusal; 22] = [
         ("controller.weights.symmetric_jets", |c| c.controller.law.weights.symmetric_jets[0][1] = c.controller.law.weights.symmetric_jets[0][0].clone(), "two jets"),
-        ("controller.engines", |c| c.controller.law.engines = experiment("test2_observer").controller.law.engines, "controller.observer"),
+        ("controller.fault_detection.engines", |c| c.controller.law.fault_detection.engines = experiment("test2_observer").controller.law.fault_detection.engines, "controller.disturbance_observer"),
         ("disturbances.aero_estimate.scale", |c| c.disturbances.aero_estimate.scale = NAN, "NaN"),
         ("controller.momentum.kp_linear", |c| c.controller.law.momentum.kp_linear[2] = NAN, "not finite"),
         ("controller.weights.thrust_rate.l_arm_jet", |c| remove(&mut c.controller.law.weights.thrust_rate, "l_arm_jet"), "absent"),

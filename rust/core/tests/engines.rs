@@ -19,8 +19,8 @@ const CONFIG: EnginesConfig =
 
 /// The shipped descent, in which an engine with a range below 30 of 120 N is lost.
 fn descent() -> DescentConfig {
-    let engines = experiment("test2_observer").controller.law.engines.unwrap();
-    DescentConfig { range_share_min: 0.25, ..engines.descent.unwrap() }
+    let engines = experiment("test2_observer").controller.law.fault_detection.engines.unwrap();
+    DescentConfig { range_fraction_min: 0.25, ..engines.descent.unwrap() }
 }
 
 /// What a tick finds: whether the sensor is wrong, and whether the engine is limited.
@@ -304,7 +304,8 @@ fn the_least_thrust_is_that_of_a_running_engine() {
 /// degrees and newton metres are not theirs.
 #[test]
 fn the_limits_of_a_descent_are_those_of_revolute_joints() {
-    let descent = experiment("test2_observer").controller.law.engines.unwrap().descent.unwrap();
+    let descent =
+        experiment("test2_observer").controller.law.fault_detection.engines.unwrap().descent.unwrap();
     let mut joint = load_robot(&experiment("test2").robot).unwrap().joints[0].clone();
     let (fast, strong) = (descent.joint_velocity_max_deg.to_radians(), descent.torque_rate_max);
     for (kind, own, expected) in [

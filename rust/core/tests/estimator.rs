@@ -5,7 +5,7 @@
 use crate::common::{Loop, assert_within, at, experiment, read, robot, uniform_estimator};
 use flight_core::control::acting::Acting;
 use flight_core::control::estimate::estimator::{
-    ChannelConfig, EstimatorConfig, EstimatorState, LatencyConfig,
+    EstimatorConfig, EstimatorState, FilterConfig, LatencyConfig,
 };
 use flight_core::control::{Command, Modes};
 use flight_core::jets::JetDynamics;
@@ -18,8 +18,8 @@ use nalgebra::{DVector, Vector3, Vector6};
 const STEP: f64 = 0.01;
 const WIND: Vector3<f64> = Vector3::new(1.0, -6.0, 0.5);
 
-fn late(delay: f64) -> ChannelConfig {
-    ChannelConfig { delay, ..ChannelConfig::default() }
+fn late(delay: f64) -> FilterConfig {
+    FilterConfig { delay, ..FilterConfig::default() }
 }
 
 /// Every channel has its own age.
@@ -218,7 +218,7 @@ fn with_late_commands_it_is_the_state_in_which_they_act() {
 /// Ticks that come late are as long as they are: commands act, and joints move, for all of that time.
 #[test]
 fn a_longer_tick_is_predicted_as_long_as_it_is() {
-    let slow = uniform_estimator(ChannelConfig { delay: 0.0, time_constant: 1e9 });
+    let slow = uniform_estimator(FilterConfig { delay: 0.0, time_constant: 1e9 });
     let observed = EstimatorConfig { joint_observer: Some(0.05), ..EstimatorConfig::default() };
     for settings in [slow, observed] {
         let config = flight(settings);
@@ -261,7 +261,7 @@ fn every_channel_is_corrected_by_its_share() {
     ];
     let mut settings = EstimatorConfig::default();
     let [a, b, c, d, e, f, g] = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07]
-        .map(|time_constant| ChannelConfig { delay: 0.0, time_constant });
+        .map(|time_constant| FilterConfig { delay: 0.0, time_constant });
     (settings.base_position, settings.base_rotation, settings.base_linear_velocity) = (a, b, c);
     (settings.base_angular_velocity, settings.joint_position, settings.joint_velocity, settings.thrust) =
         (d, e, f, g);
@@ -297,7 +297,7 @@ fn every_channel_is_corrected_by_its_share() {
 #[test]
 fn a_measurement_after_a_gap_corrects_for_all_of_it() {
     for delay in [0.0, 0.02] {
-        let channel = ChannelConfig { delay, time_constant: 0.05 };
+        let channel = FilterConfig { delay, time_constant: 0.05 };
         let config = flight(EstimatorConfig { base_position: channel, ..EstimatorConfig::default() });
         let mut still = world(&config).plant.state().clone();
         still.velocity.fill(0.0);
@@ -325,10 +325,10 @@ fn a_measurement_after_a_gap_corrects_for_all_of_it() {
 /// Force and moment of the momentum are estimated as late as velocity and gyroscopes are, age and time constant together.
 #[test]
 fn the_momentum_is_known_as_late_as_the_velocities() {
-    let shares = |config| estimator(&flight(config)).estimator.momentum_shares;
+    let shares = |config| estimator(&flight(config)).estimator.momentum_fractions;
     let old = EstimatorConfig {
-        base_linear_velocity: ChannelConfig { delay: 0.03, time_constant: 0.04 },
-        base_angular_velocity: ChannelConfig { delay: 0.0, time_constant: 0.02 },
+        base_linear_velocity: FilterConfig { delay: 0.03, time_constant: 0.04 },
+        base_angular_velocity: FilterConfig { delay: 0.0, time_constant: 0.02 },
         ..ages().1
     };
     for (share, time) in shares(old).into_iter().zip([0.07_f64, 0.02]) {
@@ -363,7 +363,7 @@ fn the_bias_of_the_gyroscopes_is_estimated_from_the_rotation() {
         base_angular_velocity: SensorConfig { bias, ..SensorConfig::default() },
         ..SensorsConfig::default()
     };
-    let filtered = |time_constant| ChannelConfig { delay: 0.0, time_constant };
+    let filtered = |time_constant| FilterConfig { delay: 0.0, time_constant };
     for (gyro_bias, share) in [(None, 1.0), (Some(0.2), 0.0)] {
         let config = flight(EstimatorConfig {
             base_rotation: filtered(0.05),
@@ -397,7 +397,7 @@ fn the_bias_of_the_gyroscopes_is_estimated_from_the_rotation() {
 /// A wrench that is in no model moves the whole robot: its momentum as it says, no joint.
 #[test]
 fn an_unmodelled_wrench_moves_the_whole_robot() {
-    let config = flight(uniform_estimator(ChannelConfig { delay: 0.0, time_constant: 1e9 }));
+    let config = flight(uniform_estimator(FilterConfig { delay: 0.0, time_constant: 1e9 }));
     let mut world = world(&config);
     world.observe(&WIND);
     let wrench = Vector6::new(30.0, -20.0, 10.0, 2.0, -3.0, 1.5);
@@ -425,7 +425,7 @@ fn an_unmodelled_wrench_moves_the_whole_robot() {
 /// The observer finds both from positions alone, its velocities are those of no sensor.
 #[test]
 fn what_the_model_does_not_explain_of_the_joints_is_learnt() {
-    let follow = ChannelConfig { delay: 0.0, time_constant: 0.04 };
+    let follow = FilterConfig { delay: 0.0, time_constant: 0.04 };
     let found = [None, Some(0.02)].map(|joint_observer| {
         let config =
             flight(EstimatorConfig { joint_velocity: follow, joint_observer, ..EstimatorConfig::default() });
@@ -480,7 +480,7 @@ fn a_measurement_that_is_no_number_corrects_nothing() {
 #[test]
 fn a_lost_channel_leaves_the_others_corrected() {
     for lost_at in [0, 10] {
-        let slow = || ChannelConfig { delay: 0.02, time_constant: 0.05 };
+        let slow = || FilterConfig { delay: 0.02, time_constant: 0.05 };
         let config = flight(EstimatorConfig {
             joint_position: slow(),
             base_position: slow(),
@@ -552,7 +552,7 @@ fn a_state_of_another_estimator_does_not_fit() {
 #[test]
 fn the_estimate_loses_what_a_wrong_sensor_put_into_it() {
     // Thrusts wait for positions.
-    let slow = ChannelConfig { delay: 0.02, time_constant: 0.05 };
+    let slow = FilterConfig { delay: 0.02, time_constant: 0.05 };
     let settings = EstimatorConfig { thrust: slow, base_position: late(0.05), ..EstimatorConfig::default() };
     let mut world = Loop::new(&flight(settings));
     let (mut before, mut after) = (vec![], vec![]);

@@ -10,7 +10,7 @@ use nalgebra::DVector;
 
 const STEP: f64 = 0.01;
 const CONFIG: JointsConfig =
-    JointsConfig { torque_min: 0.5, confirmation: 0.05, share_max: 0.7, displacement_min: 0.005 };
+    JointsConfig { torque_min: 0.5, confirmation: 0.05, effectiveness_max: 0.7, displacement_min: 0.005 };
 
 const STOPS: [(f64, f64); 3] = [(-1.0, 1.0), (-1.5, 1.5), (-2.0, 2.0)];
 

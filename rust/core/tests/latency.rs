@@ -5,14 +5,14 @@
 
 use crate::common::assert_within;
 use flight_core::control::detect::latency::{
-    LatencyMonitor, LatencyMonitorConfig, LatencySample, LatencyState,
+    LatencyDetectorConfig, LatencyMonitor, LatencySample, LatencyState,
 };
 use flight_core::control::estimate::estimator::EstimatorConfig;
 use nalgebra::{DMatrix, DVector};
 
 const STEP: f64 = 0.01;
-const CONFIG: LatencyMonitorConfig =
-    LatencyMonitorConfig { torque_max: 0.007, thrust_max: 0.04, confirmation: 1.0 };
+const CONFIG: LatencyDetectorConfig =
+    LatencyDetectorConfig { torque_max: 0.007, thrust_max: 0.04, confirmation: 1.0 };
 
 /// Two joints, each of which moves the other, and two jets.
 struct Robot {

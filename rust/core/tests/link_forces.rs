@@ -281,7 +281,10 @@ fn frozen_kinematics_keep_axes_and_points_of_the_first_tick() {
     config.simulator.kinematics = AeroKinematics::Frozen;
     // The first tick is the state after the free fall.
     let robot = load_robot(&config.robot).unwrap();
-    let first = Plant::new(robot.clone(), &config.simulator, &config.disturbances).unwrap().state().clone();
+    let first = Plant::new(robot.clone(), &config.simulator, &config.disturbances, &config.controller.law)
+        .unwrap()
+        .state()
+        .clone();
     let wind = Vector3::new(3.0, -6.0, 1.0);
     let mut flight = Loop::new(&config);
     flight.run(2.0, |_| wind);
@@ -317,8 +320,8 @@ fn simulator_quirks_leave_the_forces_of_the_first_tick() {
         value["lever_arm"] = lever_arm.into();
         value["kinematics"] = kinematics.into();
         let robot = load_robot(&config.robot).unwrap();
-        let mut plant =
-            Plant::new(robot, &serde_json::from_value(value).unwrap(), &Disturbances::default()).unwrap();
+        let (simulator, law) = (serde_json::from_value(value).unwrap(), &config.controller.law);
+        let mut plant = Plant::new(robot, &simulator, &Disturbances::default(), law).unwrap();
         plant.observe(&wind);
         (plant.link_forces().forces_i.clone(), plant.link_forces().wrench_about(&plant.kinematics().com))
     };

@@ -27,7 +27,7 @@ mod robot;
 mod setpoint;
 mod shaft;
 mod spatial;
-mod supervisor;
 mod tasks;
 mod timing;
+mod tracking_error;
 mod wind_observer;

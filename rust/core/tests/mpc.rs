@@ -436,8 +436,8 @@ fn outputs(model: &Linearised, now: Present, x: &DVector<f64>, dx: &DVector<f64>
 #[test]
 fn the_horizon_is_the_motion_in_fine_steps() {
     fine_steps(JetDynamics::Ideal, None);
-    fine_steps(JetDynamics::SecondOrder, None);
-    fine_steps(JetDynamics::SecondOrder, Some(&[0.08, 0.08, 0.08, 0.08, 0.16, 0.16, 0.16, 0.16]));
+    fine_steps(JetDynamics::Throttled, None);
+    fine_steps(JetDynamics::Throttled, Some(&[0.08, 0.08, 0.08, 0.08, 0.16, 0.16, 0.16, 0.16]));
 }
 
 fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {

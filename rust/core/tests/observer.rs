@@ -5,7 +5,9 @@
 
 use crate::common::{self, Running, TIME_STEP, assert_within, experiment};
 use flight_core::control::Modes;
-use flight_core::control::estimate::disturbance_observer::{MomentumSample, ObserverConfig, ObserverState};
+use flight_core::control::estimate::disturbance_observer::{
+    DisturbanceObserverConfig, MomentumSample, ObserverState,
+};
 use flight_core::control::measure::measurement::Sampling;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
@@ -20,8 +22,8 @@ const WRENCH: Vector6<f64> = Vector6::new(30.0, -50.0, 70.0, 3.0, -5.0, 7.0);
 const RATE: Vector6<f64> = Vector6::new(-11.0, 13.0, 17.0, -1.9, 2.3, 2.9);
 const MOMENTUM: Vector6<f64> = Vector6::new(4.0, -6.0, 8.0, 0.3, 0.5, -0.7);
 
-const WIDE: ObserverConfig =
-    ObserverConfig { gain_force: 2.0, gain_moment: 5.0, force_max: 600.0, moment_max: 100.0 };
+const WIDE: DisturbanceObserverConfig =
+    DisturbanceObserverConfig { gain_force: 2.0, gain_moment: 5.0, force_max: 600.0, moment_max: 100.0 };
 
 /// A momentum under a constant modelled rate and a constant wrench that the model does not know.
 fn at(time: f64) -> MomentumSample {
@@ -31,7 +33,7 @@ fn at(time: f64) -> MomentumSample {
 /// The wrench after a measured tick.
 fn observe(
     state: &mut ObserverState,
-    config: &ObserverConfig,
+    config: &DisturbanceObserverConfig,
     elapsed: f64,
     sample: MomentumSample,
 ) -> Vector6<f64> {
@@ -87,7 +89,7 @@ fn the_rate_that_acted_is_subtracted() {
 /// Each axis stops at its own limit, on both sides, and comes back at once.
 #[test]
 fn the_estimate_stays_within_its_limits() {
-    let config = ObserverConfig { force_max: 20.0, moment_max: 4.0, ..WIDE };
+    let config = DisturbanceObserverConfig { force_max: 20.0, moment_max: 4.0, ..WIDE };
     let limits = Vector6::new(20.0, 20.0, 20.0, 4.0, 4.0, 4.0);
     for sign in [1.0, -1.0] {
         let (mut state, mut momentum, mut found) = (ObserverState::default(), MOMENTUM, Vector6::zeros());
@@ -152,7 +154,7 @@ fn rates_between_two_measurements_act_together() {
 /// Where the estimate stays, the residual is `w (1 − exp(−t / 0.02 s))`; without a measurement it is forgotten.
 #[test]
 fn the_residual_follows_what_is_found_beside_the_estimate() {
-    let config = ObserverConfig { gain_force: 0.0, gain_moment: 0.0, ..WIDE };
+    let config = DisturbanceObserverConfig { gain_force: 0.0, gain_moment: 0.0, ..WIDE };
     let mut state = ObserverState::default();
     for tick in 0..20 {
         let time = f64::from(tick) * TIME_STEP;
@@ -185,8 +187,8 @@ fn gains_beyond_the_rate_of_ticks_are_refused() {
         [(true, 100.0, false), (true, 101.0, true), (false, 100.0, false), (false, 101.0, true)]
     {
         let mut config = experiment("test2_observer");
-        (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
-        let observer = config.controller.law.observer.as_mut().unwrap();
+        (config.controller.law.channels.jump, config.controller.law.fault_detection.engines) = (None, None);
+        let observer = config.controller.law.disturbance_observer.as_mut().unwrap();
         *(if is_force { &mut observer.gain_force } else { &mut observer.gain_moment }) = gain;
         match config.controller(load_robot(&config.robot).unwrap()) {
             Ok(_) => assert!(!is_refused),
@@ -252,11 +254,11 @@ fn controller(config: &ScenarioConfig) -> Running {
 }
 
 /// TEST2 for a body that moves as it likes: what guards against motions that no robot makes is off.
-fn unguarded(observer: Option<ObserverConfig>) -> ScenarioConfig {
+fn unguarded(observer: Option<DisturbanceObserverConfig>) -> ScenarioConfig {
     let mut config = experiment("test2_observer");
     let law = &mut config.controller.law;
-    (law.channels.jump, law.engines, law.supervisor) = (None, None, None);
-    law.observer = observer;
+    (law.channels.jump, law.fault_detection.engines, law.fault_detection.tracking_error) = (None, None, None);
+    law.disturbance_observer = observer;
     config
 }
 
@@ -366,7 +368,7 @@ fn the_prediction_of_a_velocity_has_the_observed_wrench() {
 #[test]
 fn the_ground_is_part_of_the_model() {
     let mut config = experiment("balancing_front");
-    config.controller.law.observer = Some(WIDE);
+    config.controller.law.disturbance_observer = Some(WIDE);
     let state = config.simulator.initial.state();
     for (vertical, carries) in [(212.5, true), (2.0, false)] {
         let mut standing = controller(&config);
@@ -418,12 +420,14 @@ fn momentum_matrix(
 fn the_integrator_is_observed_as_stated() {
     let beyond = |time_step: f64| {
         let mut config = experiment("platform_hover");
-        config.controller.law.observer = Some(WIDE);
-        config.simulator.time_step = time_step;
+        config.controller.law.disturbance_observer = Some(WIDE);
+        config.controller.law.time_step = time_step;
         config.simulator.initial.base_velocity = [0.5, -0.3, 0.2, 0.4, -0.6, 0.9];
         let mut robot = load_robot(&config.robot).unwrap();
         robot.bodies[0].com_b += Vector3::new(0.01, -0.02, 0.015);
-        let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances).unwrap();
+        let mut plant =
+            Plant::new(robot.clone(), &config.simulator, &config.disturbances, &config.controller.law)
+                .unwrap();
         let mut flying = Running::new(config.controller(robot.clone()).unwrap());
         let wind = Vector3::new(1.0, -4.0, 0.5);
         let mut states = Vec::new();

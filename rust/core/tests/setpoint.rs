@@ -31,7 +31,8 @@ fn commands(name: &str) -> Commands {
 fn first_com() -> Vector3<f64> {
     let config = experiment("test2_published");
     let robot = load_robot(&config.robot).unwrap();
-    let mut plant = Plant::new(robot, &config.simulator, &config.disturbances).unwrap();
+    let mut plant =
+        Plant::new(robot, &config.simulator, &config.disturbances, &config.controller.law).unwrap();
     plant.observe(&Vector3::zeros());
     plant.kinematics().com
 }

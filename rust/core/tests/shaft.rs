@@ -53,7 +53,7 @@ fn found(scale: f64, stop: usize) -> Option<usize> {
     let robot = robot();
     let limits = Limits::new(experiment("test2_observer").controller.law.momentum, &robot);
     let config = EnginesConfig { time_constant: 0.5, deviation_max: 12.0, confirmation: 0.03, descent: None };
-    let monitor = Engines::new(&config, &limits, &robot, [1.0; 2], JetDynamics::SecondOrder);
+    let monitor = Engines::new(&config, &limits, &robot, [1.0; 2], JetDynamics::Throttled);
     let known = JetModel { thrust_min: 0.0, engine: Some(EngineModel::Shaft(shaft())) };
     let model = EngineModel::Shaft(shaft_of(|k| k.ramps = k.ramps.map(|ramp| scale * ramp)));
     let mut engine = EngineDynamics::new(model, 110.0, 0.0);
@@ -96,7 +96,7 @@ fn ramps_that_differ_by_a_third_are_those_of_healthy_engines_and_no_others() {
 fn a_measured_speed_gives_the_thrust_and_a_sensor_that_of_the_others() {
     let robot = robot();
     let sample = at(0.0, &random_state(&mut rng(3), &robot), &[f64::NAN, 90.0, 5.0, 110.0]);
-    let jets = robot.jet_models(JetDynamics::SecondOrder);
+    let jets = robot.jet_models(JetDynamics::Throttled);
     let channels = Channels::new(&ChannelsConfig::default(), &robot, jets, DT, true);
     let nothing = f64::NAN;
     let (first, second, third) =

@@ -5,7 +5,9 @@
 use crate::common::{Loop, Running, assert_within, at, difference, experiment};
 use flight_core::WindObserver;
 use flight_core::aero::{LinkConventions, LinkForces};
-use flight_core::control::estimate::disturbance_observer::{MomentumSample, ObserverConfig, ObserverState};
+use flight_core::control::estimate::disturbance_observer::{
+    DisturbanceObserverConfig, MomentumSample, ObserverState,
+};
 use flight_core::control::estimate::wind_observer::{
     FORCE_NOISE, FORCE_STD, GAIN, MOMENT_ARM, RELATIVE_STD, VERTICAL_STD, VERTICAL_TIME, WALK,
     WindObserverConfig, WindState,
@@ -114,7 +116,8 @@ fn each_tick_is_the_equations_of_the_filter() {
         forces.update(&robot, kinematics, LinkConventions::default(), &mut aero, &wind);
         forces.wrench_about(&kinematics.com)
     };
-    let wide = ObserverConfig { gain_force: GAIN, gain_moment: GAIN, force_max: 1e4, moment_max: 1e4 };
+    let wide =
+        DisturbanceObserverConfig { gain_force: GAIN, gain_moment: GAIN, force_max: 1e4, moment_max: 1e4 };
     let mut acting = ObserverState::default();
     let kept = (-STEP / VERTICAL_TIME).exp();
     let (walk, vertical) = (WALK.powi(2), VERTICAL_STD.powi(2));

@@ -23,7 +23,7 @@ pub struct ControllerSection {
 }
 
 impl ControllerSection {
-    /// Builds the controller of `robot` with the tick `time_step` \[s\] and this aerodynamic model.
+    /// Builds the controller of `robot` with this aerodynamic model.
     ///
     /// # Errors
     /// [`BuildError`] naming the file, or the item that does not match the robot.
@@ -32,11 +32,10 @@ impl ControllerSection {
         robot: RobotModel,
         aero: impl FnOnce(&RobotModel) -> Result<AeroModel, BuildError>,
         mission: &MissionConfig,
-        time_step: f64,
     ) -> Result<Controller, BuildError> {
         let Self { policy, law, .. } = self;
         let policy = policy.as_ref().map(|policy| self.load_policy(policy, &robot)).transpose()?;
-        let mut controller = Controller::new(robot, aero, load_mission(mission)?, law, time_step)?;
+        let mut controller = Controller::new(robot, aero, load_mission(mission)?, law)?;
         if let Some(policy) = policy {
             controller.set_policy(policy);
         }
@@ -56,7 +55,7 @@ impl ControllerSection {
     }
 }
 
-/// Builds a controller of `robot` with the tick `time_step` \[s\].
+/// Builds a controller of `robot`.
 ///
 /// # Errors
 /// [`BuildError`] naming the file, or the item that does not match the robot.
@@ -64,8 +63,7 @@ pub fn load_controller(
     robot: RobotModel,
     controller: &ControllerSection,
     mission: &MissionConfig,
-    time_step: f64,
 ) -> Result<Controller, BuildError> {
     let aero = |robot: &RobotModel| load_aero(&controller.aero, robot);
-    controller.build(robot, aero, mission, time_step)
+    controller.build(robot, aero, mission)
 }

@@ -59,7 +59,7 @@ export class Flight {
     Object.assign(this, about);
     this.places = new Map(this.signals.map((signal, index) => [signal.name, index]));
     this.rows = 0;
-    this.timeStep = this.config.simulator.time_step;
+    this.timeStep = this.config.controller.time_step;
     this.hasEnded = false;
   }
 

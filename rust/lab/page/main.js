@@ -545,8 +545,8 @@ class Page extends Player {
 function verdict({ outcome, lost_time: lost, lost_reason: reason, rotationError, comError, hasSettled }, distance) {
   if (lost != null) return [`${outcome === "diverged" ? "The computation diverges" : outcome === "crashed" ? "Crashes" : "Falls"} at ${lost.toFixed(1)} s${reason ? `: ${reason.replace(" deg", "°")}` : ""}`, "bad"];
   if (outcome === "off_course") return [`Flies to the end, but up to ${comError.toFixed(2)} m off course`, "bad"];
-  if (outcome === "descending") return ["Gave up the mission: still on its way down at the end", "bad"];
-  if (outcome === "descended") return [`Gave up the mission: down, leaning up to ${rotationError.toFixed(1)}° on the way`, "good"];
+  if (outcome === "landing") return ["Gave up the mission: still on its way down at the end", "bad"];
+  if (outcome === "landed") return [`Gave up the mission: down, leaning up to ${rotationError.toFixed(1)}° on the way`, "good"];
   const where = distance > 5 ? "Arrives" : "Stays in place";
   // A flight that ends before it has settled has no error of position.
   const off = hasSettled ? `, ${(100 * comError).toFixed(1)} cm off course at most` : "";

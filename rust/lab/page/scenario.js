@@ -17,7 +17,7 @@ export const LISTS = {
       aware: ["aware", "The published controller with a model of the force on every link, and the measured wind."],
       observer: ["observer", "Estimates the wrench of the air from the robot's momentum; no aerodynamic model, no wind sensor."],
       both: ["aware + observer", "The model, and an observer of what the model gets wrong: the controller that we recommend."],
-      ahead: ["looking ahead", "A plan over the next 0.8 s with model and observer: it survives an arm engine that stops in hover."],
+      mpc: ["model predictive control", "A plan over the next 0.8 s with model and observer: it survives an arm engine that stops in hover."],
     },
   },
   air: {
@@ -100,9 +100,9 @@ export const TESTS = {
 
 /** Whether a choice has an effect. */
 export function matters(key, settings) {
-  if (["model", "scale", "delay"].includes(key)) return ["aware", "both", "ahead"].includes(settings.controller);
-  if (key === "ko") return ["observer", "both", "ahead"].includes(settings.controller);
-  if (["kp", "c0"].includes(key)) return settings.controller !== "ahead";
+  if (["model", "scale", "delay"].includes(key)) return ["aware", "both", "mpc"].includes(settings.controller);
+  if (key === "ko") return ["observer", "both", "mpc"].includes(settings.controller);
+  if (["kp", "c0"].includes(key)) return settings.controller !== "mpc";
   return true;
 }
 
@@ -129,7 +129,7 @@ export function rampTo([x, y]) {
 const AIR_FILE = { spheres: "sphere_cylinder", network: "network", off: "off", axisymmetric: "axisymmetric_corrected", printed: "axisymmetric_published", signed: "axisymmetric_signed", alternative: "axisymmetric_alternative" };
 
 /** Files of controllers; two of a file differ in the aerodynamic model alone. */
-const CONTROL_FILE = { baseline: "aero_aware", aware: "aero_aware", observer: "observer", both: "observer", ahead: "mpc" };
+const CONTROL_FILE = { baseline: "aero_aware", aware: "aero_aware", observer: "observer", both: "observer", mpc: "mpc" };
 const hasNoModel = (controller) => ["baseline", "observer"].includes(controller);
 
 /** What configs/simulator/flight_published.toml and configs/control/aero_aware_published.toml change, but coefficients. */
@@ -162,7 +162,7 @@ export class Scenario {
     this.jets = jets;
     const { simulator, controller, disturbances } = config;
     const isPublished = simulator.lever_arm === "unrotated";
-    const hasObserver = Boolean(controller.observer?.gain_force);
+    const hasObserver = Boolean(controller.disturbance_observer?.gain_force);
     const isOff = controller.aero.model === "off";
     const still = { profile: "ramp", velocity: [0, 0, 0], ramp_start: RAMP[0], ramp_end: RAMP[1] };
     // Still air does not say how a wind rises.
@@ -179,7 +179,7 @@ export class Scenario {
       if (coefficients === (isPublished ? "published" : "corrected")) return "axisymmetric";
       return { published: "printed", signed: "signed", alternative: "alternative" }[coefficients] ?? "given";
     };
-    const name = controller.mpc ? "ahead" : { false: isOff ? "baseline" : "aware", true: isOff ? "observer" : "both" }[hasObserver];
+    const name = controller.mpc ? "mpc" : { false: isOff ? "baseline" : "aware", true: isOff ? "observer" : "both" }[hasObserver];
     const isSame = hasNoModel(name) || JSON.stringify(controller.aero) === JSON.stringify(simulator.aero);
     const { model_error: errors, aero_estimate: estimate, wind_estimate: sensor } = disturbances ?? {};
     this.start = {
@@ -193,7 +193,7 @@ export class Scenario {
       from: tidy(from),
       kp: controller.momentum.kp_linear[0],
       c0: controller.momentum.c0,
-      ko: hasObserver ? controller.observer.gain_force : DEFAULTS.ko,
+      ko: hasObserver ? controller.disturbance_observer.gain_force : DEFAULTS.ko,
       mass: errors?.mass_scale ?? 1,
       comx: 100 * (errors?.com_offset?.[0] ?? 0),
       comy: 100 * (errors?.com_offset?.[1] ?? 0),
@@ -261,14 +261,14 @@ export class Scenario {
       changed["controller.aero"] = hasNoModel(controller) ? this.#air("off") : model === "given" ? given : this.#air(model, arms);
       // Only the axisymmetric model, with forces at the links' centres, has derivatives.
       const isLinear = arms === "corrected" && ["axisymmetric", "printed", "signed", "alternative", "off"].includes(model);
-      if (controller === "ahead" && !isLinear) changed["controller.mpc.air"] = "constant";
+      if (controller === "mpc" && !isLinear) changed["controller.mpc.air"] = "constant";
     }
     if (matters("kp", settings) && (isReplaced || has("kp"))) {
       changed["controller.momentum.kp_linear"] = Array(3).fill(settings.kp);
       changed["controller.momentum.kd_linear"] = Array(3).fill(2 * Math.sqrt(settings.kp));
     }
     if (matters("c0", settings) && (isReplaced || has("c0"))) changed["controller.momentum.c0"] = settings.c0;
-    if (matters("ko", settings) && (isReplaced || has("ko"))) Object.assign(changed, { "controller.observer.gain_force": settings.ko, "controller.observer.gain_moment": settings.ko });
+    if (matters("ko", settings) && (isReplaced || has("ko"))) Object.assign(changed, { "controller.disturbance_observer.gain_force": settings.ko, "controller.disturbance_observer.gain_moment": settings.ko });
     const offset = config.disturbances?.model_error?.com_offset?.[2] ?? 0;
     if (has("mass")) changed["disturbances.model_error.mass_scale"] = settings.mass;
     if (has("comx", "comy")) changed["disturbances.model_error.com_offset"] = [settings.comx / 100, settings.comy / 100, offset];

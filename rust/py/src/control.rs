@@ -440,9 +440,9 @@ pub fn setpoint_trajectory<'py>(
     let config = parse(config_json)?;
     let mission = load_mission(&config.mission).map_err(value_error)?;
     let robot = load_robot(&config.robot).map_err(value_error)?;
-    config.simulator.check(&robot).map_err(value_error)?;
-    let dt = config.simulator.time_step;
-    let ticks = config.simulator.n_ticks() + 1;
+    config.simulator.check(&robot, config.controller.law.time_step).map_err(value_error)?;
+    let dt = config.controller.law.time_step;
+    let ticks = config.n_ticks() + 1;
     let generator =
         SetpointGenerator::new(&config.controller.law.setpoint, mission, &robot.forward_axis_b, dt)
             .map_err(value_error)?;

@@ -153,11 +153,12 @@ fn plant_times() -> Result<Replays, BuildError> {
     let wind = Wind::new(&config.wind)?.velocity(config.simulator.duration);
     let (torque, thrust_rate) = (vec![0.0; robot.joints.len()], vec![0.0; robot.jets.len()]);
     replay(50, |times| {
-        let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?;
+        let mut plant =
+            Plant::new(robot.clone(), &config.simulator, &config.disturbances, &config.controller.law)?;
         times.extend((0..50).map(|_| {
             microseconds(|| {
                 plant.observe(black_box(&wind));
-                plant.advance(&torque, &thrust_rate, &wind, config.simulator.time_step);
+                plant.advance(&torque, &thrust_rate, &wind, config.controller.law.time_step);
             })
         }));
         Ok(())

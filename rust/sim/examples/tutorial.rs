@@ -57,10 +57,11 @@ fn measure(plant: &Plant, measurement: &mut Measurement) {
 
 fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&config.robot)?;
-    let time_step = config.simulator.time_step;
+    let time_step = config.controller.law.time_step;
     let robot_joints = robot.joints.len();
-    let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?; // replace by your robot
-    let mut controller = load_controller(robot, &config.controller, &config.mission, time_step)?;
+    let mut plant =
+        Plant::new(robot.clone(), &config.simulator, &config.disturbances, &config.controller.law)?; // replace by your robot
+    let mut controller = load_controller(robot, &config.controller, &config.mission)?;
     let wind = Vector3::new(0.0, -5.0, 0.0);
     let mut measurement = Measurement::zero(robot_joints, controller.n_jets(), 0);
     measurement.wind = wind;
@@ -110,9 +111,8 @@ impl Task for KeepVelocity {
 
 fn own_task(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&config.robot)?;
-    let plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?;
-    let mut controller =
-        load_controller(robot, &config.controller, &config.mission, config.simulator.time_step)?;
+    let plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances, &config.controller.law)?;
+    let mut controller = load_controller(robot, &config.controller, &config.mission)?;
     let joints = controller.terms().momentum_qp.unknowns.joint_velocity.clone();
     controller.add_task(Arc::new(KeepVelocity { unknown: joints.start, velocity: 0.1, weight: 1e6 }))?;
 
@@ -128,7 +128,12 @@ fn own_task(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
 // --8<-- [start:own_aero]
 /// Flat plates perpendicular to the wind: `0.5 ρ A |v| v` on every link.
 fn own_aero(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
-    let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
+    let mut plant = Plant::new(
+        load_robot(&config.robot)?,
+        &config.simulator,
+        &config.disturbances,
+        &config.controller.law,
+    )?;
     let (wind, area) = (Vector3::new(0.0, -5.0, 0.0), 0.05);
     let (no_torque, no_rate) = ([0.0; 23], [0.0; 4]);
     for _ in 0..10 {
@@ -136,7 +141,7 @@ fn own_aero(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
         let plate = |v: &Vector3<f64>| 0.6 * area * v.norm() * v;
         let forces = plant.link_forces().v_air_i.iter().map(plate).collect();
         plant.replace_link_forces(Some(forces))?;
-        plant.advance(&no_torque, &no_rate, &wind, config.simulator.time_step);
+        plant.advance(&no_torque, &no_rate, &wind, config.controller.law.time_step);
     }
     println!("pushed to y = {:.4} m", plant.kinematics().com.y);
     Ok(())
@@ -150,7 +155,7 @@ fn own_robot() -> Result<(), Box<dyn Error>> {
 
     // A controller is tuned for a robot: its gains refer to joint groups and jets by name.
     let config = load_scenario(&configs("experiments/test2.toml"))?;
-    match load_controller(robot, &config.controller, &config.mission, 0.01) {
+    match load_controller(robot, &config.controller, &config.mission) {
         Ok(_) => Err("gains of another robot were accepted".into()),
         Err(refusal) => {
             println!("{refusal}");

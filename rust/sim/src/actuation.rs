@@ -48,7 +48,7 @@ impl ActuationConfig {
             ("jitter", self.jitter),
         ] {
             let expected =
-                format!("a multiple of {step} s, the physics step simulator.time_step / simulator.substeps");
+                format!("a multiple of {step} s, the physics step controller.time_step / simulator.substeps");
             // Decimal fractions are not exact.
             let is_whole = |time: f64| (time / step - (time / step).round()).abs() <= 1e-6;
             table.check(key, time, is_whole, &expected)?;

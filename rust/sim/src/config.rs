@@ -11,7 +11,7 @@ use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
 use flight_core::control::mpc::config::MpcConfig;
-use flight_core::error::{BuildError, Table};
+use flight_core::error::{BuildError, Table, check};
 use flight_core::jets::{RATE_GAIN, ShaftConfig};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
@@ -32,9 +32,9 @@ pub struct ScenarioConfig {
     /// Purpose of the flight.
     #[serde(default)]
     pub description: String,
-    /// Engine that simulates the flight. This crate is one of them and reads the files of all.
+    /// Back end that simulates the flight. This crate is one of them and reads the files of all.
     #[serde(default)]
-    pub engine: Engine,
+    pub backend: Backend,
     /// The robot's TOML file.
     #[schemars(extend("format" = "path"))]
     pub robot: PathBuf,
@@ -56,6 +56,12 @@ pub struct ScenarioConfig {
 }
 
 impl ScenarioConfig {
+    /// Number of ticks after the one at time zero.
+    #[must_use]
+    pub fn n_ticks(&self) -> usize {
+        self.simulator.n_ticks(self.controller.law.time_step)
+    }
+
     /// Builds the controller of this flight for `robot`, with the errors that `disturbances` gives its models.
     ///
     /// # Errors
@@ -74,7 +80,7 @@ impl ScenarioConfig {
                 "disturbances.aero_estimate",
             )
         };
-        self.controller.build(robot, aero, &self.mission, self.simulator.time_step)
+        self.controller.build(robot, aero, &self.mission)
     }
 }
 
@@ -117,13 +123,13 @@ pub struct OwnController {
 /// The program that simulates a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Engine {
+pub enum Backend {
     /// This crate.
     #[default]
     Rust,
     /// The batched, differentiable simulation in Python.
     Jax,
-    /// MuJoCo, in Python; the only engine with ground.
+    /// MuJoCo, in Python; the only back end with ground.
     Mujoco,
 }
 
@@ -134,9 +140,6 @@ pub struct SimulatorConfig {
     /// Length of the flight \[s\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub duration: f64,
-    /// Tick of controller and physics \[s\].
-    #[schemars(range(min = 0.0002, max = 1))]
-    pub time_step: f64,
     /// Physics steps in a tick; state-dependent forces are evaluated in each, commands are constant.
     #[serde(default = "default_one")]
     #[schemars(range(min = 1, max = 1000))]
@@ -192,7 +195,7 @@ pub enum DynamicsBackend {
     /// The tree of bodies of this project.
     #[default]
     Tree,
-    /// MuJoCo's JAX implementation, for `engine = "jax"` only.
+    /// MuJoCo's JAX implementation, for `backend = "jax"` only.
     Mjx,
 }
 
@@ -259,22 +262,22 @@ pub struct FallConfig {
 }
 
 impl SimulatorConfig {
-    /// Checks that the values are valid for `robot`.
+    /// Checks that the values are valid for `robot`, and for ticks of `time_step` \[s\].
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming key, value and expectation.
-    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
+    pub fn check(&self, robot: &RobotModel, time_step: f64) -> Result<(), BuildError> {
         let table = Table("simulator");
         flight_core::schema::check(self, "simulator")?;
-        if let JetsConfig::SecondOrder(_) = &self.jets {
-            let expected = format!("below 2 / ({RATE_GAIN}/s), for the throttle loops of second-order jets");
-            table.check("time_step", self.time_step, |step| step * RATE_GAIN < 2.0, &expected)?;
+        if let JetsConfig::Throttled(_) = &self.jets {
+            let expected = format!("below 2 / ({RATE_GAIN}/s), for the throttle loops of the jets");
+            check("controller.time_step", time_step, |step| step * RATE_GAIN < 2.0, &expected)?;
         }
         if let JetsConfig::Measured(map) = &self.jets {
             map.check()?;
         }
         if let Some(actuation) = &self.actuation {
-            actuation.check(self.physics_step())?;
+            actuation.check(self.physics_step(time_step))?;
         }
         if let Some(motors) = &self.motors {
             motors.check(robot)?;
@@ -282,10 +285,10 @@ impl SimulatorConfig {
         if let Some(fuel) = &self.fuel {
             fuel.check(robot)?;
         }
-        if self.n_ticks() > 10_000_000 {
+        if self.n_ticks(time_step) > 10_000_000 {
             return Err(BuildError::bad_value(
-                "simulator.duration / simulator.time_step",
-                self.n_ticks(),
+                "simulator.duration / controller.time_step",
+                self.n_ticks(time_step),
                 "at most ten million ticks",
             ));
         }
@@ -311,17 +314,17 @@ impl SimulatorConfig {
         })
     }
 
-    /// Duration of a physics step \[s\].
+    /// Duration of a physics step in ticks of `time_step` \[s\].
     #[must_use]
-    pub fn physics_step(&self) -> f64 {
-        self.time_step / f64::from(self.substeps)
+    pub fn physics_step(&self, time_step: f64) -> f64 {
+        time_step / f64::from(self.substeps)
     }
 
-    /// Number of ticks after the one at time zero.
+    /// Number of ticks of `time_step` \[s\] after the one at time zero.
     #[must_use]
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: positive, at most 1e7
-    pub fn n_ticks(&self) -> usize {
-        (self.duration / self.time_step).round() as usize
+    pub fn n_ticks(&self, time_step: f64) -> usize {
+        (self.duration / time_step).round() as usize
     }
 }
 

@@ -381,8 +381,8 @@ impl Flight {
     /// Outcome of the flight; before its end, as if it ended now.
     #[must_use]
     pub fn outcome(&self, summary: &Summary) -> Outcome {
-        let descending = self.is_descending().then_some(Outcome::Descending);
-        let descent = if self.is_down { Some(Outcome::Descended) } else { descending };
+        let descending = self.is_descending().then_some(Outcome::Landing);
+        let descent = if self.is_down { Some(Outcome::Landed) } else { descending };
         Judge::outcome(self.loss, descent, summary)
     }
 

@@ -4,7 +4,7 @@
 //! thrust_rate_command ──Jets::advance──► thrust (physics),  thrust_feedback (controller)
 //! ```
 //!
-//! Three dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is an
+//! Three dynamics: `ideal` follows the command exactly, as in every published flight; `throttled` is an
 //! [`EngineModel`] with the throttle loop that the real robot needs, and, without a shaft, its thrust estimator;
 //! `measured` is a network's table, whose throttle is that of the rate nearest to the command.
 //!
@@ -30,8 +30,8 @@ pub enum JetsConfig {
     /// Thrust is the integral of the command.
     // With braces, because serde accepts unknown keys after a unit variant.
     Ideal {},
-    /// Identified second-order engines with a throttle loop.
-    SecondOrder(SecondOrderConfig),
+    /// Identified engines with a throttle loop.
+    Throttled(ThrottledConfig),
     /// A network's table of a turbine, partly extrapolated, the same for every jet.
     Measured(TurbineConfig),
 }
@@ -42,7 +42,7 @@ impl JetsConfig {
     pub fn dynamics(&self) -> &'static str {
         match self {
             Self::Ideal {} => "ideal",
-            Self::SecondOrder(_) => "second_order",
+            Self::Throttled(_) => "throttled",
             Self::Measured(_) => "measured",
         }
     }
@@ -51,7 +51,7 @@ impl JetsConfig {
 /// Parameters of the engines; the defaults are the published ones.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct SecondOrderConfig {
+pub struct ThrottledConfig {
     /// The thrust estimator.
     pub ekf: EkfConfig,
     /// Thrust that the flight controller receives; the throttle loop always uses the estimate.
@@ -99,7 +99,7 @@ impl ThrottledEngine {
 #[derive(Debug, Clone)]
 enum Dynamics {
     Ideal,
-    SecondOrder { jets: Vec<ThrottledEngine>, feedback: ThrustFeedback },
+    Throttled { jets: Vec<ThrottledEngine>, feedback: ThrustFeedback },
     Measured { map: TurbineConfig, throttle: Vec<f64> },
 }
 
@@ -146,7 +146,7 @@ impl Jets {
                 new.dynamics = Dynamics::Measured { map: map.clone(), throttle };
                 return Ok(new);
             }
-            JetsConfig::SecondOrder(config) => config,
+            JetsConfig::Throttled(config) => config,
         };
         if let Some(names) = &config.engines {
             check_one_per_jet("engines", names.len(), jets)?;
@@ -193,7 +193,7 @@ impl Jets {
             })
             .collect::<Result<_, BuildError>>()?;
         new.estimate = jets.iter().map(|jet| jet.known().0).collect();
-        new.dynamics = Dynamics::SecondOrder { jets, feedback: config.feedback };
+        new.dynamics = Dynamics::Throttled { jets, feedback: config.feedback };
         Ok(new)
     }
 
@@ -202,7 +202,7 @@ impl Jets {
     /// # Errors
     /// As [`JetFaultsConfig::check`]; also measurement noise without an estimator that uses the measurement.
     pub fn with_faults(mut self, config: &JetFaultsConfig, jets: &[Jet]) -> Result<Self, BuildError> {
-        if config.measurement_noise.is_some() && !matches!(self.dynamics, Dynamics::SecondOrder { .. }) {
+        if config.measurement_noise.is_some() && !matches!(self.dynamics, Dynamics::Throttled { .. }) {
             let of = if matches!(self.dynamics, Dynamics::Ideal) { "ideal" } else { "measured" };
             return Err(BuildError::bad_value(
                 "simulator.jets.dynamics",
@@ -235,7 +235,7 @@ impl Jets {
                     *thrust += dt * *thrust_rate;
                 }
             }
-            Dynamics::SecondOrder { jets, .. } => {
+            Dynamics::Throttled { jets, .. } => {
                 let thrusts = self.thrust.iter_mut().zip(&mut self.thrust_rate);
                 let jets = jets.iter_mut().zip(thrusts.zip(&mut self.estimate));
                 for ((jet, ((thrust, thrust_rate), estimate)), &command) in jets.zip(commands) {
@@ -254,7 +254,7 @@ impl Jets {
         for jet in 0..self.thrust.len() {
             let given = self.faults.limit_thrust(jet, self.thrust[jet], self.thrust_rate[jet], dt);
             (self.thrust[jet], self.thrust_rate[jet]) = given;
-            if let Dynamics::SecondOrder { jets, .. } = &mut self.dynamics {
+            if let Dynamics::Throttled { jets, .. } = &mut self.dynamics {
                 (jets[jet].engine.thrust, jets[jet].engine.thrust_rate) = given;
             }
         }
@@ -276,7 +276,7 @@ impl Jets {
     #[must_use]
     pub fn thrust_feedback(&self) -> &[f64] {
         match self.dynamics {
-            Dynamics::SecondOrder { feedback: ThrustFeedback::Estimated, .. } => &self.estimate,
+            Dynamics::Throttled { feedback: ThrustFeedback::Estimated, .. } => &self.estimate,
             _ => &self.thrust,
         }
     }
@@ -284,7 +284,7 @@ impl Jets {
     /// Engines whose speed the flight controller receives in place of the thrust, by jet; empty if it does not.
     #[must_use]
     pub fn measured_shafts(&self) -> Vec<Shaft> {
-        let Dynamics::SecondOrder { jets, feedback: ThrustFeedback::Speed } = &self.dynamics else {
+        let Dynamics::Throttled { jets, feedback: ThrustFeedback::Speed } = &self.dynamics else {
             return Vec::new();
         };
         let shaft = |jet: &ThrottledEngine| match jet.engine.model() {
@@ -306,7 +306,7 @@ impl Jets {
     pub fn throttle(&self) -> Vec<f64> {
         match &self.dynamics {
             Dynamics::Ideal => Vec::new(),
-            Dynamics::SecondOrder { jets, .. } => jets.iter().map(|jet| jet.controller.throttle()).collect(),
+            Dynamics::Throttled { jets, .. } => jets.iter().map(|jet| jet.controller.throttle()).collect(),
             Dynamics::Measured { throttle, .. } => throttle.clone(),
         }
     }

@@ -42,7 +42,7 @@ pub const NUMERICS: u32 = 1;
 pub use actuation::{Actuation, ActuationConfig};
 #[cfg(feature = "threads")]
 pub use batch::{BatchError, fly_batch};
-pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, schemas};
+pub use config::{Backend, ScenarioConfig, SimulatorConfig, load_scenario, schemas};
 pub use disturbances::Disturbances;
 pub use flight::{Flight, Handed};
 pub use log::FlightLog;

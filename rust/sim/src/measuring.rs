@@ -49,7 +49,7 @@ impl Measuring {
     ) -> Result<Self, BuildError> {
         let (joints, jets) = (robot.joints.len(), robot.jets.len());
         let (disturbances, simulator) = (&config.disturbances, &config.simulator);
-        let (time_step, n_ticks) = (simulator.time_step, simulator.n_ticks());
+        let (time_step, n_ticks) = (config.controller.law.time_step, config.n_ticks());
         let controller_wind = disturbances.controller_wind.as_ref();
         let controller_wind =
             controller_wind.map(|wind| Wind::from_table(wind, "disturbances.controller_wind")).transpose()?;

@@ -45,9 +45,9 @@ pub enum Outcome {
     /// The mission was flown to its end, but after the start-up further than 0.5 m from its set-point.
     OffCourse,
     /// The robot gave up its mission and touched down within the limits of a landing.
-    Descended,
+    Landed,
     /// The robot gave up its mission and was on its way down at the end.
-    Descending,
+    Landing,
     /// The robot gave up its mission and touched down too fast or too inclined.
     Crashed,
     /// The robot fell: its rotation error or position error passed its limit.
@@ -63,8 +63,8 @@ impl Outcome {
         match self {
             Self::Completed => "completed",
             Self::OffCourse => "off_course",
-            Self::Descended => "descended",
-            Self::Descending => "descending",
+            Self::Landed => "landed",
+            Self::Landing => "landing",
             Self::Crashed => "crashed",
             Self::Fell => "fell",
             Self::Diverged => "diverged",

@@ -17,6 +17,7 @@ use crate::jets::Jets;
 use crate::motors::Motors;
 use crate::world::{Seen, World};
 use flight_core::aero::{AeroModel, LinkConventions, LinkForces};
+use flight_core::control::config::ControllerConfig;
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::error::BuildError;
 use flight_core::kinematics::{Kinematics, RobotState};
@@ -70,8 +71,8 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// Builds a robot in its initial state, with the errors that `disturbances` gives the plant, and checks the
-    /// configuration.
+    /// Builds a robot in its initial state, with the errors that `disturbances` gives the plant and for commands in the
+    /// ticks of `law`, and checks the configuration.
     ///
     /// # Errors
     /// [`BuildError`] naming the item that is invalid.
@@ -79,28 +80,17 @@ impl Plant {
         robot: RobotModel,
         config: &SimulatorConfig,
         disturbances: &Disturbances,
+        law: &ControllerConfig,
     ) -> Result<Self, BuildError> {
-        Self::with_torque_steps(robot, config, disturbances, 1)
-    }
-
-    /// As [`Self::new`], for a controller that commands torques `torque_steps` times in a tick.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming the item that is invalid.
-    pub fn with_torque_steps(
-        robot: RobotModel,
-        config: &SimulatorConfig,
-        disturbances: &Disturbances,
-        torque_steps: u32,
-    ) -> Result<Self, BuildError> {
+        let (time_step, torque_steps) = (law.time_step, law.torque.steps);
         let robot = disturbances.simulated_robot(robot)?;
-        config.check(&robot)?;
+        config.check(&robot, time_step)?;
         if torque_steps == 0 || !config.substeps.is_multiple_of(torque_steps) {
             let expected = format!("a multiple of controller.torque.steps, {torque_steps}");
             return Err(BuildError::bad_value("simulator.substeps", config.substeps, expected));
         }
         if config.ground.is_some() {
-            let expected = "none: this engine has no ground; engine = \"mujoco\" does";
+            let expected = "none: this back end has no ground; backend = \"mujoco\" does";
             return Err(BuildError::bad_value("simulator.ground", "given", expected));
         }
         if config.motors.is_some() && config.integrator == Integrator::ExplicitEuler {
@@ -108,7 +98,7 @@ impl Plant {
             return Err(BuildError::bad_value("simulator.integrator", "explicit_euler", expected));
         }
         if config.dynamics != DynamicsBackend::Tree {
-            let expected = "tree; engine = \"jax\" has mjx too";
+            let expected = "tree; backend = \"jax\" has mjx too";
             return Err(BuildError::bad_value("simulator.dynamics", "mjx", expected));
         }
         let (joints, n_jets) = (robot.joints.len(), robot.jets.len());
@@ -116,7 +106,14 @@ impl Plant {
         let actuation = config.actuation.as_ref();
         let actuation = actuation
             .map(|way| {
-                Actuation::new(way, config.physics_step(), config.substeps, torque_steps, joints, n_jets)
+                Actuation::new(
+                    way,
+                    config.physics_step(time_step),
+                    config.substeps,
+                    torque_steps,
+                    joints,
+                    n_jets,
+                )
             })
             .transpose()?;
         let state = config.initial.state();
@@ -156,7 +153,7 @@ impl Plant {
             robot,
         };
         if config.initial.free_fall_tick {
-            plant.fall_freely(config.time_step);
+            plant.fall_freely(time_step);
         }
         if config.kinematics == AeroKinematics::Frozen {
             plant.frozen = Some((plant.state.clone(), Kinematics::new(&plant.robot)));

@@ -31,7 +31,7 @@ const PERIOD_TOLERANCE: f64 = 0.01;
 pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, BuildError> {
     let robot = load_robot(&config.robot)?;
     let (joints, jets) = (robot.joints.len(), robot.jets.len());
-    let time_step = config.simulator.time_step;
+    let time_step = config.controller.law.time_step;
     let steps = config.controller.law.torque.steps;
     check_period(log, time_step, steps)?;
     let sensors = config.simulator.sensors.as_ref();
@@ -112,10 +112,10 @@ fn check_period(log: &FlightLog, time_step: f64, steps: u32) -> Result<(), Build
     }
     let why = if steps > 1 {
         format!(
-            "simulator.time_step over controller.torque.steps, {steps}, whose ticks need the joints in between"
+            "controller.time_step over controller.torque.steps, {steps}, whose ticks need the joints in between"
         )
     } else {
-        "simulator.time_step".to_owned()
+        "controller.time_step".to_owned()
     };
     Err(BuildError::bad_value("period of the log", format!("{period} s"), format!("{expected} s, {why}")))
 }

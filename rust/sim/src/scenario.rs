@@ -1,6 +1,6 @@
 //! A configured flight, built and checked.
 
-use crate::config::{AeroKinematics, DynamicsBackend, Engine, Integrator, ScenarioConfig};
+use crate::config::{AeroKinematics, Backend, DynamicsBackend, Integrator, ScenarioConfig};
 use crate::disturbances::JointFaultKind;
 use crate::log::FlightLog;
 use crate::measuring::Measuring;
@@ -57,10 +57,10 @@ impl Scenario {
     /// # Errors
     /// [`BuildError`] naming the invalid part of the configuration.
     pub fn with_robot(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
-        let time_step = config.simulator.time_step;
+        let time_step = config.controller.law.time_step;
         let disturbances = &config.disturbances;
         let torque_steps = config.controller.law.torque.steps;
-        let plant = Plant::with_torque_steps(robot.clone(), &config.simulator, disturbances, torque_steps)?;
+        let plant = Plant::new(robot.clone(), &config.simulator, disturbances, &config.controller.law)?;
         if let Some(sensors) = config.simulator.sensors.as_ref().filter(|_| torque_steps > 1) {
             let expected = "0 with controller.torque.steps above 1: joints are measured between two ticks";
             check("simulator.sensors.joints.delay", sensors.joints.delay, |delay| delay == 0.0, expected)?;
@@ -71,7 +71,7 @@ impl Scenario {
         let controller = config.controller(robot)?;
         let (shafts, feet) = (plant.jets().measured_shafts(), controller.model().feet.len());
         let measuring = Measuring::new(config, plant.robot(), shafts, &wind, feet)?;
-        let n_ticks = config.simulator.n_ticks();
+        let n_ticks = config.n_ticks();
         Ok(Self { plant, world: None, controller, wind, measuring, judge, time_step, n_ticks })
     }
 
@@ -85,22 +85,22 @@ impl Scenario {
         Ok(Self { world: Some(world), ..scenario })
     }
 
-    /// Checks that the configuration can be flown by its own engine, and returns its [warnings](Self::warnings); reads
+    /// Checks that the configuration can be flown by its own back end, and returns its [warnings](Self::warnings); reads
     /// the robot's files.
     ///
     /// # Errors
     /// [`BuildError`] naming the invalid part.
     pub fn check(config: &ScenarioConfig) -> Result<Vec<String>, BuildError> {
-        let mut of_this_engine = ScenarioConfig { own_controller: None, ..config.clone() };
-        match config.engine {
-            Engine::Rust => {}
-            Engine::Jax => of_this_engine.simulator.dynamics = DynamicsBackend::Tree, // both can be flown
-            Engine::Mujoco => {
+        let mut of_this_backend = ScenarioConfig { own_controller: None, ..config.clone() };
+        match config.backend {
+            Backend::Rust => {}
+            Backend::Jax => of_this_backend.simulator.dynamics = DynamicsBackend::Tree, // both can be flown
+            Backend::Mujoco => {
                 check_ground(config)?;
-                of_this_engine = of_world(config, &load_robot(&config.robot)?)?;
+                of_this_backend = of_world(config, &load_robot(&config.robot)?)?;
             }
         }
-        Self::new(&of_this_engine)?.all_warnings(config)
+        Self::new(&of_this_backend)?.all_warnings(config)
     }
 
     /// What can be flown but is probably not meant: key, value and what was expected.
@@ -131,7 +131,7 @@ impl Scenario {
 }
 
 /// As [`load_scenario`](crate::load_scenario), with the folder of `shipped` flights, `changes` of dotted keys, and a check
-/// that its engine can fly it, which returns [warnings](Scenario::warnings).
+/// that its back end can fly it, which returns [warnings](Scenario::warnings).
 ///
 /// # Errors
 /// As [`load_changed`] and [`Scenario::check`].
@@ -150,7 +150,7 @@ pub fn load_flyable(
 /// Refuses a flight without ground, or without feet to stand on it.
 fn check_ground(config: &ScenarioConfig) -> Result<(), BuildError> {
     if config.simulator.ground.is_none() {
-        let expected = "a table, as in configs/experiments/take_off.toml: engine = \"mujoco\" flies nothing that \
+        let expected = "a table, as in configs/experiments/take_off.toml: backend = \"mujoco\" flies nothing that \
                         has no ground under it; \"rust\" and \"jax\" do";
         return Err(BuildError::bad_value("simulator.ground", "absent", expected));
     }
@@ -167,7 +167,7 @@ fn check_ground(config: &ScenarioConfig) -> Result<(), BuildError> {
 /// [`BuildError`] for what neither simulates.
 fn of_world(config: &ScenarioConfig, robot: &RobotModel) -> Result<ScenarioConfig, BuildError> {
     let ScenarioConfig { simulator, disturbances, controller, .. } = config;
-    simulator.check(robot)?;
+    simulator.check(robot, config.controller.law.time_step)?;
     let initial = &simulator.initial;
     check_only("simulator.integrator", &simulator.integrator, &Integrator::default())?;
     check_only("simulator.kinematics", &simulator.kinematics, &AeroKinematics::default())?;
@@ -184,7 +184,7 @@ fn of_world(config: &ScenarioConfig, robot: &RobotModel) -> Result<ScenarioConfi
     }
     if let Some(stuck) = disturbances.joints.iter().position(|fault| fault.kind == JointFaultKind::Stuck) {
         let key = format!("disturbances.joints[{stuck}].kind");
-        return Err(BuildError::bad_value(key, "stuck", "weak or free: engine = \"mujoco\" holds no joint"));
+        return Err(BuildError::bad_value(key, "stuck", "weak or free: backend = \"mujoco\" holds no joint"));
     }
     let mut of_crate = config.clone();
     (of_crate.simulator.ground, of_crate.simulator.motors) = (None, None);
@@ -200,6 +200,6 @@ fn check_only<T: PartialEq + Serialize>(key: &str, value: &T, simulated: &T) -> 
         Value::Null => "none".to_owned(),
         simulated => simulated.to_string(),
     };
-    let expected = format!("{simulated}: engine = \"mujoco\" simulates nothing else here");
+    let expected = format!("{simulated}: backend = \"mujoco\" simulates nothing else here");
     Err(BuildError::bad_value(key, json!(value), expected))
 }

@@ -107,9 +107,9 @@ fn never_met(config: &ScenarioConfig) -> Result<Option<String>, BuildError> {
 
 /// A wind in which every flight diverges.
 fn too_strong(config: &ScenarioConfig) -> Result<Option<String>, BuildError> {
-    let (wind, step) = (Wind::new(&config.wind)?, config.simulator.time_step);
+    let (wind, step) = (Wind::new(&config.wind)?, config.controller.law.time_step);
     let speed = |tick| wind.velocity(f64::from(tick) * step).norm();
-    let ticks = u32::try_from(config.simulator.n_ticks()).unwrap_or(u32::MAX);
+    let ticks = u32::try_from(config.n_ticks()).unwrap_or(u32::MAX);
     let greatest = (0..=ticks).map(speed).fold(0.0, f64::max);
     Ok((greatest > SPEED).then(|| {
         format!(

@@ -109,7 +109,7 @@ fn late_torques_need_shorter_ticks_or_a_plan() {
     let fly = |name: &str, time_step: f64, actuation: ActuationConfig| {
         let mut config = experiment(name);
         config.simulator.duration = 20.0;
-        config.simulator.time_step = time_step;
+        config.controller.law.time_step = time_step;
         config.simulator.actuation = Some(actuation);
         fly(&config)
     };
@@ -165,12 +165,12 @@ fn a_measured_latency_is_used() {
         config.simulator.actuation = Some(ActuationConfig { torque_delay, ..actuation });
         let law = &mut config.controller.law;
         law.estimator.get_or_insert_default();
-        if let Some(monitor) = law.latency_monitor.as_mut() {
+        if let Some(monitor) = law.fault_detection.latency.as_mut() {
             monitor.torque_max = if is_used { 0.007 } else { 1.0 };
         }
         fly(&config)
     };
-    // The observer's law with exact measurements and with sensors, and the predictive law in a robot's world.
+    // The observer's law with exact measurements and with sensors, and the predictive law in the realistic simulation.
     for (name, torque_delay, greatest) in
         [("test2_observer", 0.01, 5.0), ("test2_sensors", 0.01, 8.0), ("robot", 0.025, 20.0)]
     {

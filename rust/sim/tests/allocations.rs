@@ -138,7 +138,7 @@ fn a_saturated_tick_does_not_allocate() {
     assert!(nominal && active >= 15, "nominal: {nominal}, {active} bounds active at most");
 }
 
-/// Every model and quirk, sub-steps, second-order engines.
+/// Every model and quirk, sub-steps, engines with throttles.
 #[test]
 #[allow(clippy::large_stack_arrays, reason = "a handful of configurations, once")]
 fn no_model_allocates() {
@@ -164,7 +164,7 @@ fn no_model_allocates() {
             }),
         ),
         ("sub-steps", with("test2", |config| config.simulator.substeps = 4)),
-        ("second-order engines", experiment("second_order_jets")),
+        ("engines with throttles", experiment("second_order_jets")),
     ] {
         let (_, nominal) = assert_no_allocations(what, &config, 3.0, SIDE);
         assert!(nominal, "{what}");

@@ -10,7 +10,7 @@ use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
 use flight_sim::{
-    Engine, Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_flyable, load_scenario,
+    Backend, Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_flyable, load_scenario,
 };
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
@@ -133,7 +133,7 @@ fn what_may_be_absent_is_removed_by_false() {
         ),
     );
     let (found, mut expected) = (load_scenario(&flight).unwrap(), experiment("test2_observer"));
-    assert!(expected.controller.law.engines.take().is_some());
+    assert!(expected.controller.law.fault_detection.engines.take().is_some());
     assert_eq!(found, expected);
 }
 
@@ -364,7 +364,7 @@ fn every_simulator_file_is_a_simulator() {
     for file in files("simulator") {
         let config: SimulatorConfig = parse(&file);
         let is_mk3 = file.file_stem().unwrap().to_string_lossy().starts_with("mk3");
-        config.check(&robots[usize::from(is_mk3)]).unwrap();
+        config.check(&robots[usize::from(is_mk3)], 0.01).unwrap();
     }
 }
 
@@ -479,23 +479,23 @@ fn what_is_probably_not_meant_is_warned_of() {
 /// has no limits. Facing +x, this robot leans backward with a positive pitch of its base.
 #[test]
 fn a_start_outside_the_limits_of_the_set_point_is_warned_of() {
-    let warnings = |name: &str, engine: Engine, pitch: f64| {
+    let warnings = |name: &str, backend: Backend, pitch: f64| {
         let mut config = experiment(name);
-        (config.engine, config.simulator.initial.base_rpy_deg[1]) = (engine, pitch);
+        (config.backend, config.simulator.initial.base_rpy_deg[1]) = (backend, pitch);
         Scenario::check(&config).unwrap()
     };
-    for engine in [Engine::Rust, Engine::Jax] {
+    for backend in [Backend::Rust, Backend::Jax] {
         for (pitch, count) in [(0.0, 0), (-30.0, 0), (-30.1, 1), (10.0, 1)] {
-            assert_eq!(warnings("test2", engine, pitch).len(), count, "{pitch}");
+            assert_eq!(warnings("test2", backend, pitch).len(), count, "{pitch}");
         }
     }
-    let said = &warnings("test2", Engine::Rust, 10.0)[0];
+    let said = &warnings("test2", Backend::Rust, 10.0)[0];
     assert!(
         said.starts_with("simulator.initial.base_rpy_deg has a nose-down pitch of -10.000 deg"),
         "{said}"
     );
-    assert_eq!(warnings("take_off", Engine::Mujoco, 10.0).len(), 1);
-    assert!(warnings("min_time", Engine::Rust, 10.0).is_empty());
+    assert_eq!(warnings("take_off", Backend::Mujoco, 10.0).len(), 1);
+    assert!(warnings("min_time", Backend::Rust, 10.0).is_empty());
 }
 
 /// What is written out is read back the same: a manifest holds the whole flight.
@@ -574,7 +574,7 @@ fn what_the_schema_refuses_cannot_be_built() {
         json!({ "body": "chest", "mass": 1.0, "position": [0.0, 0.0, 0.0], "idle": 0.0, "by_thrust": 1e-5 });
     own["simulator"]["sensors"] =
         json!({ "joints": { "tremble": { "amplitude": 0.001, "frequency": 3.0 } } });
-    own["simulator"]["jets"] = json!({ "dynamics": "second_order", "shaft": { "idle": 0.3, "ramps": [0.1, 0.1],
+    own["simulator"]["jets"] = json!({ "dynamics": "throttled", "shaft": { "idle": 0.3, "ramps": [0.1, 0.1],
         "lags": [1.2, 1.6], "accelerations": [0.1, 0.4], "exponent": 2.0, "square_share": 0.1 } });
     own["disturbances"]["pushes"] = json!([{ "body": "chest", "start": 1.0, "duration": 0.1 }]);
     own["disturbances"]["wind_estimate"] = json!(WindEstimateConfig::default());

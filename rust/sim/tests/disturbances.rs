@@ -11,7 +11,7 @@ use flight_sim::disturbances::{
     Disturbances, FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, Outage,
     OutageChannel, OutageKind, WindEstimateConfig, WindEstimator,
 };
-use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
+use flight_sim::jets::{Jets, JetsConfig, ThrottledConfig};
 use flight_sim::noise::Noise;
 use flight_sim::{FlightResult, Plant, Scenario, ScenarioConfig, Wind, WindConfig};
 use nalgebra::Vector3;
@@ -165,7 +165,7 @@ fn run(mut jets: Jets, rate: f64, steps: usize) -> Vec<Vec<f64>> {
 
 #[test]
 fn an_engine_that_is_off_gives_nothing_and_the_others_go_on() {
-    for config in [JetsConfig::Ideal {}, JetsConfig::SecondOrder(SecondOrderConfig::default())] {
+    for config in [JetsConfig::Ideal {}, JetsConfig::Throttled(ThrottledConfig::default())] {
         let sound = run(jets(&config, &JetFaultsConfig::default()), 10.0, 100);
         let record = run(jets(&config, &failure(FailureKind::Off, 0.0)), 10.0, 100);
         assert_eq!(record[50], sound[50], "nothing before its time");
@@ -237,7 +237,9 @@ fn a_jet_exerts_another_force_than_its_thrust() {
         config.simulator.initial.thrust = thrust.to_vec();
         config.disturbances.jets.force_scale =
             scale.into_iter().map(|(jet, scale)| (jet.to_owned(), scale)).collect();
-        let mut plant = Plant::new(robot("ironcub_mk1"), &config.simulator, &config.disturbances).unwrap();
+        let mut plant =
+            Plant::new(robot("ironcub_mk1"), &config.simulator, &config.disturbances, &config.controller.law)
+                .unwrap();
         plant.observe(&Vector3::zeros());
         plant.advance(&[0.0; 23], &[0.0; 4], &Vector3::zeros(), STEP);
         assert_eq!(plant.jets().thrust(), thrust, "what is measured stays");
@@ -271,9 +273,9 @@ fn measurement_noise_enters_the_estimate_alone() {
         measurement_noise: Some(MeasurementNoise { std: 2.0, seed }),
         ..JetFaultsConfig::default()
     };
-    let estimated = JetsConfig::SecondOrder(SecondOrderConfig {
+    let estimated = JetsConfig::Throttled(ThrottledConfig {
         feedback: flight_sim::jets::ThrustFeedback::Estimated,
-        ..SecondOrderConfig::default()
+        ..ThrottledConfig::default()
     });
     let feedback = |seed| {
         let mut jets = jets(&estimated, &noisy(seed));

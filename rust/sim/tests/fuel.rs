@@ -52,9 +52,10 @@ fn the_chest_loses_a_point_mass() {
 /// The plant's mass and centre of mass are those of the lighter robot, and its motion goes on without a jump.
 #[test]
 fn a_plant_becomes_lighter() {
-    let mut config = experiment("test2").simulator;
-    config.fuel = Some(fuel());
-    let mut plant = Plant::new(robot("ironcub_mk1"), &config, &Disturbances::default()).unwrap();
+    let mut config = experiment("test2");
+    config.simulator.fuel = Some(fuel());
+    let (simulator, law) = (&config.simulator, &config.controller.law);
+    let mut plant = Plant::new(robot("ironcub_mk1"), simulator, &Disturbances::default(), law).unwrap();
     let before = plant.robot().mass();
     let thrust: f64 = plant.jets().thrust().iter().sum();
     for _ in 0..10 {

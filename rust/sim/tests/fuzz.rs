@@ -150,7 +150,7 @@ fn assert_ticks(scenario: &ScenarioConfig, robot: RobotModel) {
     let Some(mut controller) = refusal(scenario.controller(robot)) else { return };
     let feet = controller.model().feet.len();
     let measure = |tick: u32| Measurement {
-        time: f64::from(tick) * scenario.simulator.time_step,
+        time: f64::from(tick) * scenario.controller.law.time_step,
         thrust: vec![50.0; jets],
         wind: Vector3::new(1.0, -5.0, 0.2),
         ..Measurement::zero(joints, jets, feet)
@@ -195,7 +195,7 @@ fn a_spoilt_configuration() {
         let section = value.and_then(|value| refusal(from_value(value, "spoilt.toml")));
         if let Some(controller) = section {
             let mut scenario = ScenarioConfig { controller, ..scenario.clone() };
-            scenario.simulator.time_step = step;
+            scenario.controller.law.time_step = step;
             assert_ticks(&scenario, robot.clone());
         }
     });

@@ -9,7 +9,7 @@ use flight_core::jets::{Shaft, ShaftConfig};
 use flight_core::robot::{Frame, Jet};
 use flight_core::spatial::Pose;
 use flight_sim::disturbances::{JetFaultsConfig, Outage, OutageChannel, OutageKind};
-use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig, ThrustFeedback};
+use flight_sim::jets::{Jets, JetsConfig, ThrottledConfig, ThrustFeedback};
 use flight_sim::measuring::Measuring;
 use flight_sim::turbine::TurbineConfig;
 use flight_sim::{Scenario, Wind};
@@ -39,10 +39,10 @@ fn jets() -> Vec<Jet> {
 
 const HOVER: [f64; 4] = [98.0, 98.0, 113.0, 113.0];
 
-fn second_order(change: impl FnOnce(&mut SecondOrderConfig)) -> JetsConfig {
-    let mut config = SecondOrderConfig::default();
+fn second_order(change: impl FnOnce(&mut ThrottledConfig)) -> JetsConfig {
+    let mut config = ThrottledConfig::default();
     change(&mut config);
-    JetsConfig::SecondOrder(config)
+    JetsConfig::Throttled(config)
 }
 
 fn build(config: &JetsConfig) -> Jets {
@@ -136,7 +136,7 @@ fn a_turbine_follows_the_rates_of_its_map() {
 #[test]
 fn thrust_is_never_below_its_least() {
     let running = || jets().into_iter().map(|jet| Jet { thrust_min: 40.0, ..jet }).collect::<Vec<_>>();
-    for config in [JetsConfig::Ideal {}, JetsConfig::SecondOrder(SecondOrderConfig::default())] {
+    for config in [JetsConfig::Ideal {}, JetsConfig::Throttled(ThrottledConfig::default())] {
         let mut jets = Jets::new(&config, &running(), &engines(), &[60.0; 4]).unwrap();
         let mut least = f64::INFINITY;
         for _ in 0..100 {
@@ -163,7 +163,7 @@ fn thrust_is_never_below_its_least() {
 /// A jet without thrust does not pull, and its thrust rate is not negative; a NaN stays one.
 #[test]
 fn thrust_is_never_negative() {
-    for config in [JetsConfig::Ideal {}, JetsConfig::SecondOrder(SecondOrderConfig::default())] {
+    for config in [JetsConfig::Ideal {}, JetsConfig::Throttled(ThrottledConfig::default())] {
         let mut jets = Jets::new(&config, &jets(), &engines(), &[0.5; 4]).unwrap();
         for _ in 0..100 {
             jets.advance(&[-90.0; 4], DT);

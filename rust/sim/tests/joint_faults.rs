@@ -46,7 +46,8 @@ fn a_stuck_joint_keeps_its_position() {
             config.simulator.substeps = substeps;
             let disturbances =
                 Disturbances { joints: vec![fault(JointFaultKind::Stuck, 0.1)], ..Disturbances::default() };
-            let mut plant = Plant::new(robot("ironcub_mk1"), &config.simulator, &disturbances).unwrap();
+            let law = &config.controller.law;
+            let mut plant = Plant::new(robot("ironcub_mk1"), &config.simulator, &disturbances, law).unwrap();
             let mut torque = [0.0; 23];
             torque[ELBOW] = 5.0;
             let mut held = None;
@@ -86,6 +87,6 @@ fn mujoco_refuses_a_stuck_joint() {
     config.disturbances.joints[0].kind = JointFaultKind::Stuck;
     assert_says(
         &Scenario::check(&config).unwrap_err(),
-        &["disturbances.joints[0].kind", "engine = \"mujoco\""],
+        &["disturbances.joints[0].kind", "backend = \"mujoco\""],
     );
 }

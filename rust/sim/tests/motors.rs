@@ -199,13 +199,14 @@ fn a_stiff_spring_is_rigid() {
 fn drives_do_not_change_the_momentum() {
     let mut config = experiment("test2");
     let robot = robot("ironcub_mk1");
+    let law = config.controller.law.clone();
     let wrench = |config: &SimulatorConfig| {
-        let mut plant = Plant::new(robot.clone(), config, &Disturbances::default()).unwrap();
+        let mut plant = Plant::new(robot.clone(), config, &Disturbances::default(), &law).unwrap();
         plant.observe(&Vector3::zeros());
         let (mass, before) = (plant.dynamics().mass_matrix.clone(), plant.state().velocity.clone());
-        plant.advance(&[4.0; 23], &[0.0; 4], &Vector3::zeros(), config.time_step);
+        plant.advance(&[4.0; 23], &[0.0; 4], &Vector3::zeros(), law.time_step);
         let change = &plant.state().velocity - before;
-        (mass * &change / config.time_step, change)
+        (mass * &change / law.time_step, change)
     };
     let (ideal, without) = wrench(&config.simulator);
     config.simulator.motors = Some(MotorsConfig {

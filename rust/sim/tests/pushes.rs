@@ -71,7 +71,8 @@ fn a_push_accelerates_the_plant() {
     let (force, moment) = (Vector3::new(20.0, 30.0, -10.0), Vector3::new(4.0, -5.0, 6.0));
     let step = |pushes: Vec<Push>| {
         let disturbances = Disturbances { pushes, ..Disturbances::default() };
-        let mut plant = Plant::new(robot("ironcub_mk1"), &config.simulator, &disturbances).unwrap();
+        let law = &config.controller.law;
+        let mut plant = Plant::new(robot("ironcub_mk1"), &config.simulator, &disturbances, law).unwrap();
         plant.observe(&Vector3::zeros());
         plant.advance(&[0.0; 23], &[0.0; 4], &Vector3::zeros(), STEP);
         (plant.dynamics().mass_matrix.clone() * &plant.state().velocity, plant)

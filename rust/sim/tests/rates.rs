@@ -162,7 +162,7 @@ fn a_latency_is_no_error_of_the_flight() {
     config.simulator.actuation = Some(late);
     let latency = LatencyConfig { torque: 0.03, thrust: 0.03 };
     config.controller.law.estimator = Some(EstimatorConfig { latency, ..Default::default() });
-    config.controller.law.supervisor.as_mut().unwrap().position = 0.1;
+    config.controller.law.fault_detection.tracking_error.as_mut().unwrap().position = 0.1;
     let flight = Scenario::new(&config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap();
     assert_eq!(flight.outcome, Outcome::Completed, "{:?}", flight.loss);
     let modes = flight.log.series("degraded_modes").unwrap();

@@ -1,10 +1,7 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
-use super::detect::engines::EnginesConfig;
-use super::detect::joints::JointsConfig;
-use super::detect::latency::LatencyMonitorConfig;
-use super::detect::supervisor::SupervisorConfig;
-use super::estimate::disturbance_observer::ObserverConfig;
+use super::detect::FaultDetectionConfig;
+use super::estimate::disturbance_observer::DisturbanceObserverConfig;
 use super::estimate::estimator::EstimatorConfig;
 use super::estimate::wind_observer::WindObserverConfig;
 use super::law::attitude::MomentumGains;
@@ -17,7 +14,7 @@ use super::law::torque::TorqueConfig;
 use super::measure::channels::ChannelsConfig;
 use super::mpc::config::MpcConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkConventions, LinkVelocity};
-use crate::error::{BuildError, Table, check, check_values_by_name, place_of};
+use crate::error::{BuildError, Table, check_values_by_name, place_of};
 use crate::jets::{JetDynamics, ShaftConfig};
 #[cfg(feature = "clarabel")]
 use crate::qp::ClarabelSolver;
@@ -29,22 +26,13 @@ use std::collections::BTreeMap;
 
 const CONTROLLER: Table = Table("controller");
 
-/// Least time between two ticks \[s\]; the longest delay, that of a wind estimate, is then five million ticks.
-const TIME_STEP_MIN: f64 = 2e-4;
-
-/// Checks the time between two ticks \[s\]; `item` is named in errors.
-///
-/// # Errors
-/// [`BuildError::BadValue`].
-pub fn check_time_step(item: &str, time_step: f64) -> Result<(), BuildError> {
-    check(item, time_step, |step| (TIME_STEP_MIN..=1.0).contains(&step), "seconds from 0.0002 to 1")?;
-    Ok(())
-}
-
 /// Configuration of the control law: the complete controller except robot, aerodynamic model and mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ControllerConfig {
+    /// Time between two ticks \[s\].
+    #[schemars(range(min = 0.0002, max = 1))]
+    pub time_step: f64,
     /// Terms of the controller that contain the estimated aerodynamic forces.
     #[serde(default)]
     pub aero_feedback: AeroFeedback,
@@ -87,22 +75,13 @@ pub struct ControllerConfig {
     pub wind_observer: Option<WindObserverConfig>,
     /// Observer of the wrench that no model of the controller contains; without it this wrench is taken as zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub observer: Option<ObserverConfig>,
+    pub disturbance_observer: Option<DisturbanceObserverConfig>,
     /// Which measurements are accepted, and what replaces the others.
     #[serde(default)]
     pub channels: ChannelsConfig,
-    /// When an engine counts as lost; without it, never.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub engines: Option<EnginesConfig>,
-    /// When a joint counts as stuck, weak or free; without it, never.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub joints: Option<JointsConfig>,
-    /// When commands count as late; without it, never.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub latency_monitor: Option<LatencyMonitorConfig>,
-    /// When a flight strays from its set-point; without it, never.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub supervisor: Option<SupervisorConfig>,
+    /// Detectors of faults; without it nothing is looked for.
+    #[serde(default)]
+    pub fault_detection: FaultDetectionConfig,
     /// How thrusts follow their commanded rates in the controller's model, as `simulator.jets.dynamics` in the plant.
     #[serde(default)]
     pub jet_dynamics: JetDynamics,
@@ -190,18 +169,17 @@ impl ControllerConfig {
             }
         }
         self.qp.check()?;
-        if self.engines.is_some() && self.observer.is_none() {
-            let expected =
-                "none without controller.observer: the momentum distinguishes an engine from its sensor";
-            return Err(BuildError::bad_value("controller.engines", "given", expected));
+        if self.fault_detection.engines.is_some() && self.disturbance_observer.is_none() {
+            let expected = "none without controller.disturbance_observer: the momentum distinguishes an engine from its sensor";
+            return Err(BuildError::bad_value("controller.fault_detection.engines", "given", expected));
         }
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
             let force_max = contact.load_transfer.as_ref().and_then(|transfer| transfer.unmodelled_force_max);
-            if let Some(force) = force_max.filter(|_| self.observer.is_none()) {
+            if let Some(force) = force_max.filter(|_| self.disturbance_observer.is_none()) {
                 let (key, expected) = (
                     "controller.contact.load_transfer.unmodelled_force_max",
-                    "none without controller.observer",
+                    "none without controller.disturbance_observer",
                 );
                 return Err(BuildError::bad_value(key, force, expected));
             }
@@ -239,7 +217,8 @@ impl ControllerConfig {
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
-    pub fn check_rate_bounds(&self, robot: &RobotModel, time_step: f64) -> Result<(), BuildError> {
+    pub fn check_rate_bounds(&self, robot: &RobotModel) -> Result<(), BuildError> {
+        let time_step = self.time_step;
         // The published values are at the limit: 1 − 0.01 · 100 · 2 = −1.
         let stable = |key: &str, rate_max: f64, steepness: f64| {
             let greatest = 2.0 / (rate_max * time_step);
@@ -251,7 +230,7 @@ impl ControllerConfig {
                 stable("bounds.thrust_steepness", *rate_max, self.bounds.thrust_steepness)?;
             }
         }
-        let descent = self.engines.as_ref().and_then(|engines| engines.descent);
+        let descent = self.fault_detection.engines.as_ref().and_then(|engines| engines.descent);
         for joint in &robot.joints {
             let rate_max = descent.map_or(joint.velocity_max, |descent| descent.velocity_max(joint));
             stable("bounds.joint_steepness", rate_max, self.bounds.joint_steepness)?;

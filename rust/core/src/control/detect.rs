@@ -1,44 +1,40 @@
 //! Fault detection: each detector compares what a tick measures with what was commanded, and says what it finds.
 //!
-//! A detector is a file here with its configuration, its state and its `impl` of [`Detector`], and an entry in the list below:
-//! name, type and how it is built. It reads the tick's [`Evidence`], and writes what the law may use into [`Limits`] and the
-//! rest into [`Findings`].
+//! A detector is a file here, with its configuration, its state, its modes and its `impl` of [`Detector`], and a line of the
+//! list below: the name of its table in `controller.fault_detection`, and its type. It reads the tick's [`Evidence`], and
+//! writes what the law may use into [`Limits`] and the rest into [`Findings`].
 
 pub mod detector;
 pub mod engines;
 pub mod joints;
 pub mod latency;
-pub mod supervisor;
+pub mod tracking_error;
 
 use super::command::Command;
-use super::config::ControllerConfig;
 use super::limits::Limits;
 use super::measure::measurement::Estimate;
-use crate::robot::RobotModel;
-use detector::{Detector, Evidence, Findings};
-use engines::Engines;
-use joints::Joints;
-use latency::LatencyMonitor;
-use supervisor::SupervisorConfig;
+use super::modes::{Mode, Modes, OF_TICK, listed};
+use detector::{Detector, Evidence, Findings, Setup};
+use serde::{Deserialize, Serialize};
 
-/// What a detector is built for.
-#[derive(Debug, Clone, Copy)]
-pub struct Setup<'a> {
-    /// The controller's configuration.
-    pub config: &'a ControllerConfig,
-    /// Its robot, with all jets.
-    pub robot: &'a RobotModel,
-    /// Limits of the law while nothing is found.
-    pub usual: &'a Limits,
-    /// Fractions of a change of force and moment that appear in the estimated momentum per tick, 1 where it is measured.
-    pub momentum_shares: [f64; 2],
-    /// Time between two ticks \[s\].
-    pub time_step: f64,
-}
-
-/// Makes the set of detectors, and their states, from one list, in whose order they run.
+/// Makes the set of detectors, their configurations, states and modes from one list, in whose order they run.
 macro_rules! detectors {
-    ($($(#[doc = $doc:literal])+ $name:ident: $detector:ty = $build:expr;)*) => {
+    ($($(#[doc = $doc:literal])+ $name:ident: $detector:ty;)*) => {
+        /// When a fault counts as found; without its table a detector looks for nothing.
+        #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        pub struct FaultDetectionConfig {
+            $($(#[doc = $doc])+
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub $name: Option<<$detector as Detector>::Config>,)*
+        }
+
+        impl Modes {
+            /// All modes with their names and meanings, in the order of their bits.
+            pub const NAMES: [Mode; OF_TICK.len() $(+ <$detector as Detector>::MODES.len())*] =
+                listed(&[&OF_TICK, $(<$detector as Detector>::MODES),*]);
+        }
+
         /// The configured detectors.
         #[derive(Debug)]
         pub struct Detectors {
@@ -54,9 +50,8 @@ macro_rules! detectors {
         impl Detectors {
             /// Builds those that are configured.
             #[must_use]
-            pub fn new(setup: &Setup) -> Self {
-                $(let $name: fn(&Setup) -> Option<$detector> = $build;)*
-                Self { $($name: $name(setup),)* }
+            pub fn new(config: &FaultDetectionConfig, setup: &Setup) -> Self {
+                Self { $($name: config.$name.as_ref().map(|of| <$detector>::build(of, setup)),)* }
             }
 
             /// States at the start of a flight.
@@ -106,19 +101,11 @@ macro_rules! detectors {
 
 detectors! {
     /// Engines that do not follow their commands, and wrong thrust sensors.
-    engines: Engines = |of| {
-        let dynamics = of.config.jet_dynamics;
-        of.config.engines.map(|engines| Engines::new(&engines, of.usual, of.robot, of.momentum_shares, dynamics))
-    };
+    engines: engines::Engines;
     /// Joints that do not follow their torques.
-    joints: Joints = |of| of.config.joints.map(|joints| Joints::new(joints, of.robot, of.time_step));
+    joints: joints::Joints;
     /// Commands that act late.
-    latency: LatencyMonitor = |of| {
-        let (estimator, steps) = (of.config.estimator.as_ref(), of.config.torque.steps);
-        let sizes = (of.robot.joints.len(), of.robot.jets.len());
-        let monitor = |config| LatencyMonitor::new(config, estimator, steps, sizes.0, sizes.1, of.time_step);
-        of.config.latency_monitor.map(monitor)
-    };
-    /// A flight that strays from its set-point.
-    supervisor: SupervisorConfig = |of| of.config.supervisor;
+    latency: latency::LatencyMonitor;
+    /// A flight that is too far from its set-point.
+    tracking_error: tracking_error::TrackingErrorConfig;
 }

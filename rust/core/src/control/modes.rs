@@ -6,20 +6,43 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Modes(u32);
 
-/// Makes a constant of every mode, and [`Modes::NAMES`], from one list.
-macro_rules! modes {
-    ($($(#[doc = $doc:literal])+ $name:ident = $bit:literal, $text:literal;)*) => {
-        impl Modes {
-            $($(#[doc = $doc])+ pub const $name: Self = Self(1 << $bit);)*
+/// A mode with its name and its meaning.
+pub type Mode = (Modes, &'static str, &'static str);
 
-            /// All modes with their names and meanings.
-            pub const NAMES: [(Self, &'static str, &'static str); [$($bit),*].len()] =
-                [$((Self::$name, $text, concat!($($doc),+))),*];
+/// Makes a constant of every mode, and a list of them.
+macro_rules! modes {
+    ($list:ident: $($(#[doc = $doc:literal])+ $name:ident = $bit:literal, $text:literal;)*) => {
+        impl $crate::control::modes::Modes {
+            $($(#[doc = $doc])+ pub const $name: Self = Self::of_bit($bit);)*
         }
+
+        /// The modes of this module.
+        pub(crate) const $list: [$crate::control::modes::Mode; [$($bit),*].len()] =
+            [$(($crate::control::modes::Modes::$name, $text, concat!($($doc),+))),*];
     };
+}
+pub(crate) use modes;
+
+/// Modes of several lists, in the order of their bits, which have no gaps.
+pub(super) const fn listed<const N: usize>(lists: &[&[Mode]]) -> [Mode; N] {
+    let mut all = [(Modes(0), "", ""); N];
+    let mut list = 0;
+    while list < lists.len() {
+        let mut place = 0;
+        while place < lists[list].len() {
+            let mode = lists[list][place];
+            let bit = mode.0.0.trailing_zeros() as usize;
+            assert!(all[bit].1.is_empty(), "two modes have one bit");
+            all[bit] = mode;
+            place += 1;
+        }
+        list += 1;
+    }
+    all
 }
 
 modes! {
+    OF_TICK:
     /// The wind is the last measured one, held or fading.
     WIND_HELD = 0, "wind_held";
     /// The wind has been missing for so long that still air is assumed.
@@ -40,20 +63,12 @@ modes! {
     CLOCK_PREDICTED = 8, "clock_predicted";
     /// The robot levels and descends instead of following its mission.
     DESCENDING = 9, "descending";
-    /// An engine does not reach its commanded thrust.
-    ENGINE_LIMITED = 10, "engine_limited";
     /// The first measurements are outvoted: the flight begins again from those of this tick.
     BEGUN_AGAIN = 11, "begun_again";
-    /// A joint does not follow its torque.
-    JOINT_LIMITED = 12, "joint_limited";
     /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
     MEASUREMENT_IGNORED = 13, "measurement_ignored";
-    /// The flight strays from its set-point.
-    STRAYING = 14, "straying";
     /// The residual of a policy, or a given one, is not finite and not used.
     RESIDUAL_IGNORED = 15, "residual_ignored";
-    /// Commands act later or earlier than the controller knows.
-    LATE = 16, "late";
     /// The state is of another controller; the command is as for an ignored measurement.
     STATE_IGNORED = 17, "state_ignored";
     /// The given set-point exceeds the accepted range, or its matrix is not a rotation: the robot brakes from the motion
@@ -73,6 +88,11 @@ modes! {
 }
 
 impl Modes {
+    /// The set of one mode.
+    pub(crate) const fn of_bit(bit: u32) -> Self {
+        Self(1 << bit)
+    }
+
     /// Modes in which a tick does not measure the momentum.
     pub(super) const WITHOUT_MOMENTUM: Self =
         Self(Self::JOINTS_PREDICTED.0 | Self::ROTATION_PREDICTED.0 | Self::VELOCITY_PREDICTED.0);

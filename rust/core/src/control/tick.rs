@@ -11,7 +11,7 @@ mod steer;
 use super::acting::Acting;
 use super::command::{BadCommand, Command};
 use super::detect::Detectors;
-use super::estimate::disturbance_observer::{ObserverConfig, ObserverState};
+use super::estimate::disturbance_observer::{DisturbanceObserverConfig, ObserverState};
 use super::estimate::estimator::Estimator;
 use super::estimate::joint_tracker::{JointMeasurement, JointTracker, JointsBetween};
 use super::estimate::wind_observer::WindObserver;
@@ -57,7 +57,7 @@ pub struct Controller {
     channels: Channels,
     estimator: Option<Estimator>,
     wind: Option<WindObserver>,
-    observer: Option<ObserverConfig>,
+    observer: Option<DisturbanceObserverConfig>,
     has_feet: bool,
     detectors: Detectors,
     /// Limits of the law while nothing is found.

@@ -18,7 +18,7 @@ pub enum JetDynamics {
     #[default]
     Ideal,
     /// As the robot's engines do, within the limits of their throttles.
-    SecondOrder,
+    Throttled,
 }
 
 /// One jet of the controller's model.

@@ -45,13 +45,18 @@ fn fly(
     mut visit: impl FnMut(&Controller, &ControllerState, &Measurement),
 ) -> Result<(), BuildError> {
     let mut controller = controller(config)?;
-    let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
+    let mut plant = Plant::new(
+        load_robot(&config.robot)?,
+        &config.simulator,
+        &config.disturbances,
+        &config.controller.law,
+    )?;
     let mut state = None;
     let wind_profile = Wind::new(&config.wind)?;
-    let time_step = config.simulator.time_step;
+    let time_step = config.controller.law.time_step;
     let feet = controller.model().feet.len();
     let mut measurement = Measurement::zero(controller.model().joints.len(), controller.n_jets(), feet);
-    for tick in 0..=config.simulator.n_ticks() {
+    for tick in 0..=config.n_ticks() {
         let time = tick as f64 * time_step;
         if time > end {
             break;
@@ -204,7 +209,7 @@ pub fn standing_ticks() -> Result<Vec<StandingTick>, BuildError> {
     let mut memory = None;
     let mut ticks = Vec::new();
     for tick in 0..1000 {
-        let time = f64::from(tick) * config.simulator.time_step;
+        let time = f64::from(tick) * config.controller.law.time_step;
         let mut state = start.clone();
         for (joint, s) in state.joint_position.iter_mut().enumerate() {
             *s += 0.02 * (time + joint as f64).sin();

@@ -33,7 +33,7 @@ pub struct JetFaultsConfig {
     /// Time constant of a first-order lag of the commanded thrust rate \[s\]; zero for none.
     #[schemars(range(min = 0))]
     pub lag: f64,
-    /// Noise of the measured thrust, which only the estimators of second-order jets use.
+    /// Noise of the measured thrust, which only the estimators of jets with throttles use.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub measurement_noise: Option<MeasurementNoise>,
     /// Ratio of the force that a jet exerts to its thrust, by name; it is 1 for jets that are not named.

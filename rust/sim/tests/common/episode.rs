@@ -161,7 +161,7 @@ fn change_controller(
     mut scenario: ScenarioConfig,
     share: f64,
 ) -> Result<ScenarioConfig, BuildError> {
-    scenario.simulator.time_step = [0.001, 0.002, 0.005, 0.01][rng.random_range(0..4)];
+    scenario.controller.law.time_step = [0.001, 0.002, 0.005, 0.01][rng.random_range(0..4)];
     let mut value = serde_json::to_value(&scenario).unwrap();
     change_values(rng, &mut value["controller"], share);
     from_value(value, "random configuration")
@@ -242,9 +242,10 @@ pub struct Episode {
 
 impl Episode {
     fn new(mut rng: ChaCha8Rng, scenario: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
-        let plant = Plant::new(robot.clone(), &scenario.simulator, &scenario.disturbances)?;
+        let plant =
+            Plant::new(robot.clone(), &scenario.simulator, &scenario.disturbances, &scenario.controller.law)?;
         let mut controller = scenario.controller(robot.clone())?;
-        let time_step = scenario.simulator.time_step;
+        let time_step = scenario.controller.law.time_step;
         let speed = [1.0, 12.0, 60.0][rng.random_range(0..3)];
         let sample = Measurement {
             wind: random_vector(&mut rng, speed),

@@ -11,7 +11,7 @@ pub mod network;
 #[allow(unused_imports, reason = "no test binary needs everything")]
 pub(crate) use measured::{assert_within, difference, relative};
 
-use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig};
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{ControllerState, Given};
 use flight_core::spatial::{Pose, rotation_from_wxyz};
@@ -59,7 +59,7 @@ pub fn hover_of(robot: &RobotModel) -> ScenarioConfig {
 }
 
 /// A state estimator that takes all measurements alike.
-pub fn uniform_estimator(channel: ChannelConfig) -> EstimatorConfig {
+pub fn uniform_estimator(channel: FilterConfig) -> EstimatorConfig {
     EstimatorConfig {
         base_position: channel,
         base_rotation: channel,
@@ -191,7 +191,9 @@ impl Loop {
     }
 
     pub fn with_robot(config: &ScenarioConfig, robot: RobotModel) -> Self {
-        let plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances).unwrap();
+        let plant =
+            Plant::new(robot.clone(), &config.simulator, &config.disturbances, &config.controller.law)
+                .unwrap();
         let controller = config.controller(robot).unwrap();
         Self { plant, controller: Running::new(controller), tick: 0 }
     }

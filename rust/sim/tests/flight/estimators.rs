@@ -2,7 +2,7 @@
 
 use crate::common::{assert_within, experiment, fly, outage, uniform_estimator};
 use flight_core::control::Modes;
-use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig};
 use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
@@ -26,7 +26,7 @@ fn a_late_robot_flies_with_an_estimator() {
     });
     let mut flying = falling.clone();
     flying.controller.law.estimator =
-        Some(uniform_estimator(ChannelConfig { delay: 0.02, ..ChannelConfig::default() }));
+        Some(uniform_estimator(FilterConfig { delay: 0.02, ..FilterConfig::default() }));
     let [falling, flying] = fly(&[falling, flying]).try_into().unwrap();
     assert_eq!(falling.outcome, Outcome::Fell);
     assert_eq!(flying.outcome, Outcome::Completed);
@@ -91,7 +91,7 @@ fn an_estimator_loses_nothing_else_with_a_channel() {
 /// them.
 #[test]
 fn an_estimator_follows_no_measurement_that_is_not_accepted() {
-    let late = || ChannelConfig { delay: 0.02, time_constant: 0.05 };
+    let late = || FilterConfig { delay: 0.02, time_constant: 0.05 };
     let mut whole = experiment("test2_observer");
     whole.simulator.duration = 4.0;
     let sensor = || SensorConfig { delay: 0.02, ..SensorConfig::default() };

@@ -25,8 +25,8 @@ fn fly_without(jet: &str, of_distances: Option<f64>) -> FlightResult {
 #[test]
 fn a_robot_lands_without_an_engine() {
     for (jet, of_distances, outcome) in [
-        ("chest_l_jet", None, Outcome::Descended),
-        ("r_arm_jet", None, Outcome::Descended),
+        ("chest_l_jet", None, Outcome::Landed),
+        ("r_arm_jet", None, Outcome::Landed),
         ("r_arm_jet", Some(5000.0), Outcome::Crashed),
     ] {
         let flight = fly_without(jet, of_distances);

@@ -5,7 +5,7 @@ use super::with;
 use crate::common::{assert_within, experiment};
 use flight_core::control::Modes;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
-use flight_sim::jets::{JetsConfig, SecondOrderConfig};
+use flight_sim::jets::{JetsConfig, ThrottledConfig};
 use flight_sim::{FlightResult, LossReason, Outcome, Scenario, ScenarioConfig};
 use std::ops::ControlFlow;
 
@@ -101,7 +101,7 @@ fn a_wind_that_jumps_is_replaced() {
 /// Engines that follow the first large commands as fast as their throttles let them are not taken for failing ones.
 #[test]
 fn slow_engines_are_not_taken_for_failing_ones() {
-    let jets = JetsConfig::SecondOrder(SecondOrderConfig::default());
+    let jets = JetsConfig::Throttled(ThrottledConfig::default());
     let flight = fly(Vec::new(), |config| {
         config.simulator.jets = jets;
         config.simulator.duration = 2.0;
@@ -134,7 +134,7 @@ fn blind_for_good_it_descends() {
     for channel in [OutageChannel::BasePosition, OutageChannel::BaseRotation, OutageChannel::BaseVelocity] {
         let lost = outage(channel, FOR_EVER, OutageKind::Missing);
         let flight = fly(vec![lost], |config| config.simulator.duration = 36.0);
-        assert_eq!(flight.outcome, Outcome::Descended, "{channel:?}: {:?}", flight.loss);
+        assert_eq!(flight.outcome, Outcome::Landed, "{channel:?}: {:?}", flight.loss);
         assert!(modes(&flight) & Modes::DESCENDING.bits() != 0);
         let velocity = last(&flight, "com_velocity");
         assert_within!((velocity[2] + 0.5).abs(), 0.05, because "air pushes on the way down", "{channel:?}: {velocity:?}");
@@ -148,7 +148,7 @@ fn blind_in_the_fast_leg_it_brakes() {
     for channel in [OutageChannel::BasePosition, OutageChannel::BaseRotation, OutageChannel::BaseVelocity] {
         let lost = Outage { start: 25.0, ..outage(channel, FOR_EVER, OutageKind::Missing) };
         let flight = fly(vec![lost], |config| config.simulator.duration = 38.0);
-        assert_eq!(flight.outcome, Outcome::Descending, "{channel:?}: {:?}", flight.loss);
+        assert_eq!(flight.outcome, Outcome::Landing, "{channel:?}: {:?}", flight.loss);
         let rotation = flight.summary.max_rotation_error.to_degrees();
         assert_within!(rotation, 8.0, because "margin of the flight", "{channel:?}: {rotation} deg");
         let velocity = last(&flight, "com_velocity");
@@ -160,7 +160,7 @@ fn blind_in_the_fast_leg_it_brakes() {
 /// start, where the robot is down before it has braked.
 #[test]
 fn blind_on_a_recorded_mission_it_brakes() {
-    for (start, end) in [(10.0, Outcome::Crashed), (14.0, Outcome::Crashed), (17.0, Outcome::Descended)] {
+    for (start, end) in [(10.0, Outcome::Crashed), (14.0, Outcome::Crashed), (17.0, Outcome::Landed)] {
         let recorded = experiment("min_time");
         let lost = Outage { start, ..outage(OutageChannel::BasePosition, FOR_EVER, OutageKind::Missing) };
         let flight = fly(vec![lost], |config| {
@@ -178,7 +178,7 @@ fn blind_on_a_recorded_mission_it_brakes() {
 fn with_a_wrong_thrust_sensor_it_completes() {
     let none = Modes::default();
     for (jet, kind, error, others) in [
-        ("l_arm_jet", OutageKind::Wrong, -40.0, Modes::STRAYING),
+        ("l_arm_jet", OutageKind::Wrong, -40.0, Modes::TRACKING_ERROR),
         ("chest_r_jet", OutageKind::Wrong, 20.0, none),
         ("chest_r_jet", OutageKind::Wrong, -90.0, none),
         ("l_arm_jet", OutageKind::Frozen, 1.0, none),
@@ -226,7 +226,7 @@ fn without_an_engine_it_sinks_to_the_ground() {
     let stopping = ["chest_l_jet", "chest_r_jet"].map(|jet| (jet, 0.0, 0.075, 70.0));
     for (jet, decay, time_to_find, lean) in fading.into_iter().chain(stopping) {
         let (flight, found) = fly_without(jet, FailureKind::Off, decay, START, 30.0);
-        assert_eq!(flight.outcome, Outcome::Descended, "{jet}: {:?}", flight.loss);
+        assert_eq!(flight.outcome, Outcome::Landed, "{jet}: {:?}", flight.loss);
         assert!(found.is_some_and(|time| (0.03..time_to_find).contains(&time)), "{jet}: {found:?}");
         let rotation = flight.summary.max_rotation_error.to_degrees();
         assert_within!(rotation, lean, because "17 and 59 degrees of the flights, not of rounding", "{jet}: {rotation} deg");
@@ -257,7 +257,7 @@ fn an_arm_that_fades_in_the_fast_leg_comes_down_level_and_too_fast() {
 /// descends, which takes longer than the flight.
 #[test]
 fn with_a_stuck_engine_it_completes() {
-    let ends = [Outcome::Completed, Outcome::Completed, Outcome::Descending, Outcome::Descending];
+    let ends = [Outcome::Completed, Outcome::Completed, Outcome::Landing, Outcome::Landing];
     for (jet, end) in JETS.into_iter().zip(ends) {
         let (flight, _) = fly_without(jet, FailureKind::Stuck, 0.0, START, 50.0);
         assert_eq!(flight.outcome, end, "{jet}: {:?}", flight.loss);

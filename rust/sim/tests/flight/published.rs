@@ -19,7 +19,7 @@ fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
 #[track_caller]
 fn assert_completed(result: &FlightResult, config: &ScenarioConfig) {
     assert!(result.loss.is_none(), "{}: {:?}", config.title, result.loss);
-    assert_eq!(result.log.len(), config.simulator.n_ticks() + 1, "{}", config.title);
+    assert_eq!(result.log.len(), config.n_ticks() + 1, "{}", config.title);
 }
 
 /// The flight, and three whose first thrust differs in its last bits.
@@ -402,13 +402,13 @@ fn the_closed_circuits_complete() {
     }
 }
 
-/// With second-order engines, measured or estimated, the aware controller flies as with ideal ones.
+/// With engines with throttles, measured or estimated, the aware controller flies as with ideal ones.
 #[test]
 fn second_order_engines_fly() {
     let measured = experiment("second_order_jets");
     let estimated = with(measured.clone(), |config| {
         config.simulator.jets =
-            serde_json::from_str(r#"{"dynamics": "second_order", "feedback": "estimated"}"#).unwrap();
+            serde_json::from_str(r#"{"dynamics": "throttled", "feedback": "estimated"}"#).unwrap();
     });
     let configs = [measured, estimated];
     for (config, flight) in configs.iter().zip(fly(&configs)) {

@@ -506,9 +506,9 @@ fn a_controller_with_feet_flies() {
 fn bad_simulators_are_refused_by_name() {
     let refusals: [Refusal; 8] = [
         ("simulator.duration", |c| c.simulator.duration = f64::NAN, "is not finite"),
-        ("simulator.duration", |c| (c.simulator.duration, c.simulator.time_step) = (1e5, 0.01), "exceeds 2 GiB"),
-        ("simulator.duration / simulator.time_step", |c| c.simulator.duration = 1e8, "at most ten million"),
-        ("simulator.time_step", |c| (c.simulator.time_step, c.simulator.jets) = (0.014, serde_json::from_str(r#"{"dynamics": "second_order"}"#).unwrap()), "is 0.014; expected below 2 / (150/s)"),
+        ("simulator.duration", |c| (c.simulator.duration, c.controller.law.time_step) = (1e5, 0.01), "exceeds 2 GiB"),
+        ("simulator.duration / controller.time_step", |c| c.simulator.duration = 1e8, "at most ten million"),
+        ("controller.time_step", |c| (c.controller.law.time_step, c.simulator.jets) = (0.014, serde_json::from_str(r#"{"dynamics": "throttled"}"#).unwrap()), "is 0.014; expected below 2 / (150/s)"),
         ("simulator.initial.thrust", |c| c.simulator.initial.thrust[1] = 160.5, "is 160.5; expected newtons from 0 to 160, the range of jet `r_arm_jet`"),
         ("length of simulator.initial.joint_position", |c| { c.simulator.initial.joint_position.pop(); }, "is 22; expected 23"),
         ("length of simulator.initial.thrust", |c| c.simulator.initial.thrust.push(0.0), "is 5; expected 4"),
@@ -527,7 +527,7 @@ fn bad_simulators_are_refused_by_name() {
 /// 1 % of the way and of the speed.
 #[test]
 fn the_flight_does_not_depend_on_the_tick() {
-    let at = |time_step| with(experiment("test2"), |config| config.simulator.time_step = time_step);
+    let at = |time_step| with(experiment("test2"), |config| config.controller.law.time_step = time_step);
     let flights = fly(&[at(0.01), at(0.005), at(0.002)]);
     let places = |flight: usize| flights[flight].log.series("com_position").unwrap();
     let speed = |flight: usize| {
@@ -548,12 +548,13 @@ fn the_flight_does_not_depend_on_the_tick() {
 /// The controller's own time step is refused too: it may be built without a simulator.
 #[test]
 fn bad_time_steps_are_refused_by_the_controller() {
-    let config = experiment("test2");
+    let mut config = experiment("test2");
     let robot = load_robot(&config.robot).unwrap();
     for time_step in [0.0, -0.01, f64::NAN, f64::INFINITY] {
-        let controller = load_controller(robot.clone(), &config.controller, &config.mission, time_step);
+        config.controller.law.time_step = time_step;
+        let controller = load_controller(robot.clone(), &config.controller, &config.mission);
         let message = controller.unwrap_err().to_string();
-        assert!(message.contains("controller time step is"), "{message}");
+        assert!(message.contains("controller.time_step"), "{message}");
     }
 }
 

@@ -19,7 +19,8 @@ fn plant(integrator: Integrator, joint_stops: bool) -> Plant {
         config.simulator.integrator = integrator;
         config.simulator.joint_stops = joint_stops;
     });
-    Plant::new(robot("ironcub_mk1"), &config.simulator, &Disturbances::default()).unwrap()
+    Plant::new(robot("ironcub_mk1"), &config.simulator, &Disturbances::default(), &config.controller.law)
+        .unwrap()
 }
 
 /// Elbow position and velocity, tick by tick, under a torque at the elbow.

@@ -3,13 +3,35 @@
 use crate::control::acting::Acting;
 use crate::control::command::Command;
 use crate::control::estimate::disturbance_observer::ObserverState;
+use crate::control::estimate::estimator::EstimatorConfig;
 use crate::control::law::momentum::MomentumModel;
 use crate::control::law::setpoint::Setpoint;
 use crate::control::limits::Limits;
 use crate::control::measure::measurement::Estimate;
-use crate::control::modes::Modes;
+use crate::control::modes::{Mode, Modes};
 use crate::dynamics::{Dynamics, InverseMass};
+use crate::jets::JetDynamics;
 use crate::kinematics::Kinematics;
+use crate::robot::RobotModel;
+
+/// What a detector is built for.
+#[derive(Debug, Clone, Copy)]
+pub struct Setup<'a> {
+    /// The controller's robot, with all jets.
+    pub robot: &'a RobotModel,
+    /// How its thrusts follow their rates.
+    pub jet_dynamics: JetDynamics,
+    /// The controller's estimator, if it has one.
+    pub estimator: Option<&'a EstimatorConfig>,
+    /// Fractions of a change of force and moment that appear in the estimated momentum per tick, 1 where it is measured.
+    pub momentum_fractions: [f64; 2],
+    /// Limits of the law while nothing is found.
+    pub usual: &'a Limits,
+    /// Time between two ticks \[s\].
+    pub time_step: f64,
+    /// Ticks of the torques in a tick of the law.
+    pub torque_steps: u32,
+}
 
 /// What detectors read of a tick.
 #[derive(Debug)]
@@ -51,8 +73,15 @@ pub struct Findings {
 
 /// A detector of one kind of fault.
 pub trait Detector: Sized {
+    /// Its table in `controller.fault_detection`.
+    type Config;
     /// What it keeps from tick to tick.
     type State;
+    /// Modes that it may find.
+    const MODES: &'static [Mode];
+
+    /// The detector for a robot.
+    fn build(config: &Self::Config, setup: &Setup) -> Self;
 
     /// Its state at the start of a flight.
     fn start(&self, estimate: &Estimate) -> Self::State;

@@ -16,18 +16,24 @@
 //! Where the speed of a shaft is measured, it alone judges the engine: a deviation beyond that of engines whose ramps are
 //! slower and faster than known is the engine's, whatever the momentum shows.
 
-use super::detector::{Detector, Evidence, Findings};
+use super::detector::{Detector, Evidence, Findings, Setup};
 use crate::control::estimate::disturbance_observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
 use crate::control::limits::Limits;
 use crate::control::measure::measurement::{Estimate, Sampling};
-use crate::control::modes::Modes;
+use crate::control::modes::{Mode, Modes, modes};
 use crate::jets::{EngineModel, JetDynamics};
 use crate::robot::{Joint, JointKind, RobotModel};
 use crate::spatial::parts;
 use crate::timing::Exceeded;
 use nalgebra::{Matrix6xX, Vector6};
 use serde::{Deserialize, Serialize};
+
+modes! {
+    MODES:
+    /// An engine does not reach its commanded thrust.
+    ENGINE_LIMITED = 10, "engine_limited";
+}
 
 /// Lever arm that makes a force comparable with a moment \[m\]: that of the air that no model contains. Gyroscopes are
 /// less noisy than velocities, and aerodynamic forces change more than their moments.
@@ -61,7 +67,7 @@ pub struct DescentConfig {
     /// An engine is lost if its least and greatest thrust differ by less than this fraction of the jet's greatest
     /// thrust.
     #[schemars(extend("exclusiveMinimum" = 0))]
-    pub range_share_min: f64,
+    pub range_fraction_min: f64,
     /// Gains in place of `controller.momentum`.
     pub momentum: MomentumGains,
     /// Greatest joint velocity during the descent \[deg/s\], for revolute joints whose own limit is lower.
@@ -161,12 +167,12 @@ impl EngineState {
     /// Whether the thrust range is too small for flight; `thrust_max` is the greatest thrust of the jet \[N\].
     #[must_use]
     pub fn is_lost(&self, descent: &DescentConfig, thrust_max: f64) -> bool {
-        self.range.1 - self.range.0 < descent.range_share_min * thrust_max
+        self.range.1 - self.range.0 < descent.range_fraction_min * thrust_max
     }
 
     /// Updates the monitor `dt` \[s\] after the last tick.
     ///
-    /// `momentum_shares` are the fractions of a change of force and moment that appear in the estimated momentum per
+    /// `momentum_fractions` are the fractions of a change of force and moment that appear in the estimated momentum per
     /// tick, 1 where it is measured. Without a measured momentum lags and confirmation time restart.
     pub fn update(
         &mut self,
@@ -174,7 +180,7 @@ impl EngineState {
         models: &Models,
         dt: f64,
         sample: EngineSample,
-        momentum_shares: Option<[f64; 2]>,
+        momentum_fractions: Option<[f64; 2]>,
     ) {
         let EngineSample { thrust, innovation, is_measured, is_of_speed, command } = sample;
         let kept = libm::exp(-dt / config.time_constant);
@@ -206,7 +212,7 @@ impl EngineState {
         let (least, greatest) = (lag.min(slower).min(faster).min(0.0), lag.max(slower).max(faster).max(0.0));
         let outside = self.deviation - self.deviation.max(least).min(greatest);
         self.is_doubted = outside.abs() > half;
-        match momentum_shares {
+        match momentum_fractions {
             _ if is_of_speed => self.late = [[outside; 2]; 2],
             None => {
                 (self.late, self.suspected) = ([[0.0; 2]; 2], Exceeded::default());
@@ -269,7 +275,7 @@ impl Models {
 pub struct Engines {
     config: EnginesConfig,
     /// Fractions of a change of force and moment that appear in the estimated momentum per tick, 1 where measured.
-    momentum_shares: [f64; 2],
+    momentum_fractions: [f64; 2],
     models: Vec<Models>,
     usual: Limits,
     /// Limits after the loss of an engine.
@@ -277,7 +283,13 @@ pub struct Engines {
 }
 
 impl Detector for Engines {
+    type Config = EnginesConfig;
     type State = Vec<EngineState>;
+    const MODES: &'static [Mode] = &MODES;
+
+    fn build(config: &EnginesConfig, of: &Setup) -> Self {
+        Self::new(config, of.usual, of.robot, of.momentum_fractions, of.jet_dynamics)
+    }
 
     fn start(&self, _: &Estimate) -> Self::State {
         vec![EngineState::default(); self.usual.thrust.len()]
@@ -317,7 +329,7 @@ impl Engines {
         config: &EnginesConfig,
         usual: &Limits,
         robot: &RobotModel,
-        momentum_shares: [f64; 2],
+        momentum_fractions: [f64; 2],
         dynamics: JetDynamics,
     ) -> Self {
         let models = robot.jets.iter().map(|jet| Models::new(jet.engine, dynamics)).collect();
@@ -330,7 +342,7 @@ impl Engines {
             ..usual.clone()
         };
         let descending = config.descent.map(|descent| (descent, descending(descent)));
-        Self { config: *config, momentum_shares, models, usual: usual.clone(), descending }
+        Self { config: *config, momentum_fractions, models, usual: usual.clone(), descending }
     }
 
     /// Processes a sample of each engine, `dt` \[s\] after the last; `sensor_error` \[N\] is written for the sensors that
@@ -349,7 +361,7 @@ impl Engines {
         sensor_error: &mut [Option<f64>],
     ) {
         let Self { config, models, .. } = self;
-        let shares = (momentum.is_some() || is_between).then_some(self.momentum_shares);
+        let shares = (momentum.is_some() || is_between).then_some(self.momentum_fractions);
         let is_confirmed = |engine: &EngineState| engine.suspected.has_lasted(config.confirmation, dt);
         for (jet, (engine, models)) in engines.iter_mut().zip(models).enumerate() {
             engine.update(config, models, dt, samples(jet), shares);

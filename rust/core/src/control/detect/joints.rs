@@ -13,16 +13,22 @@
 //! Equation M143 of `docs/model/guard.md`; Haddadin, De Luca and Albu-Schäffer, "Robot collisions", IEEE T-RO 2017, have the
 //! residual of the momentum.
 
-use super::detector::{Detector, Evidence, Findings};
+use super::detector::{Detector, Evidence, Findings, Setup};
 use crate::control::command::Command;
 use crate::control::limits::{JointCondition, Limits};
 use crate::control::measure::measurement::Estimate;
-use crate::control::modes::Modes;
+use crate::control::modes::{Mode, Modes, modes};
 use crate::robot::RobotModel;
 use crate::spatial::parts;
 use crate::timing::{Exceeded, share};
 use nalgebra::{DVector, Vector3};
 use serde::{Deserialize, Serialize};
+
+modes! {
+    MODES:
+    /// A joint does not follow its torque.
+    JOINT_LIMITED = 12, "joint_limited";
+}
 
 /// Lag `τ_r` of the residual \[s\].
 const LAG: f64 = 0.05;
@@ -68,7 +74,7 @@ pub struct JointsConfig {
     pub confirmation: f64,
     /// Greatest share of the torque that acts at a weak joint; with more it is not judged.
     #[schemars(range(min = 0, max = 1))]
-    pub share_max: f64,
+    pub effectiveness_max: f64,
     /// Least commanded displacement within 0.3 s that shows whether a joint is stuck \[rad, m\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub displacement_min: f64,
@@ -153,7 +159,13 @@ impl Joints {
 }
 
 impl Detector for Joints {
+    type Config = JointsConfig;
     type State = JointsState;
+    const MODES: &'static [Mode] = &MODES;
+
+    fn build(config: &JointsConfig, of: &Setup) -> Self {
+        Self::new(*config, of.robot, of.time_step)
+    }
 
     fn start(&self, estimate: &Estimate) -> JointsState {
         JointsState::new(&estimate.robot.state.joint_position)
@@ -312,7 +324,8 @@ impl JointsState {
             }
             let has_moved = (self.position[joint] - now.position).abs() > MOVED;
             let acting = last.share() + now.product / now.square;
-            let greatest = if last == JointCondition::Healthy { config.share_max } else { 1.0 + SHARE_ERROR };
+            let greatest =
+                if last == JointCondition::Healthy { config.effectiveness_max } else { 1.0 + SHARE_ERROR };
             let found = if self.is_still(config, sample, joint) {
                 JointCondition::Stuck
             } else if has_moved && acting > -FREE_SHARE && acting < greatest {

@@ -12,15 +12,21 @@
 //! for which a torque is held. It is known while its standard deviation, were the residuals white, is small enough.
 //! Equations M164 and M165 of `docs/model`.
 
-use super::detector::{Detector, Evidence, Findings};
+use super::detector::{Detector, Evidence, Findings, Setup};
 use crate::control::estimate::estimator::EstimatorConfig;
 use crate::control::limits::{JointCondition, Limits};
 use crate::control::measure::measurement::{Estimate, Sampling};
-use crate::control::modes::Modes;
+use crate::control::modes::{Mode, Modes, modes};
 use crate::linalg::add_mat_vec;
 use crate::timing::{Exceeded, share};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
+
+modes! {
+    MODES:
+    /// Commands act later or earlier than the controller knows.
+    LATE = 16, "late";
+}
 
 /// Greatest delay that is looked for: the greatest known one and a little more \[s\].
 const DELAY_MAX: f64 = 0.25;
@@ -51,7 +57,7 @@ const THRUST: Filter = Filter { lags: 1, lag: 0.3, floor: 0.1, deviation_max: 4e
 /// When commands count as late.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct LatencyMonitorConfig {
+pub struct LatencyDetectorConfig {
     /// Greatest difference of the measured latency of torques from `controller.estimator.latency` \[s\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub torque_max: f64,
@@ -221,7 +227,7 @@ pub struct LatencySample<'a> {
 /// Measures latencies of one robot; its state is a [`LatencyState`].
 #[derive(Debug, Clone)]
 pub struct LatencyMonitor {
-    config: LatencyMonitorConfig,
+    config: LatencyDetectorConfig,
     banks: [Bank; 2],
     time_step: f64,
     /// Latencies that the controller knows, of torques and thrust rates \[s\].
@@ -257,7 +263,14 @@ pub struct LatencyState {
 }
 
 impl Detector for LatencyMonitor {
+    type Config = LatencyDetectorConfig;
     type State = LatencyState;
+    const MODES: &'static [Mode] = &MODES;
+
+    fn build(config: &LatencyDetectorConfig, of: &Setup) -> Self {
+        let (joints, jets) = (of.robot.joints.len(), of.robot.jets.len());
+        Self::new(*config, of.estimator, of.torque_steps, joints, jets, of.time_step)
+    }
 
     fn start(&self, estimate: &Estimate) -> LatencyState {
         self.start_of(self.by_torque.len(), estimate.robot.thrust.len())
@@ -312,7 +325,7 @@ impl LatencyMonitor {
     /// estimator.
     #[must_use]
     pub fn new(
-        config: LatencyMonitorConfig,
+        config: LatencyDetectorConfig,
         estimator: Option<&EstimatorConfig>,
         torque_steps: u32,
         joints: usize,

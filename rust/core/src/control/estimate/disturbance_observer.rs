@@ -22,7 +22,7 @@ const RESIDUAL_TIME: f64 = 0.02;
 /// Gains of the observer, and the greatest wrench that it estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct ObserverConfig {
+pub struct DisturbanceObserverConfig {
     /// `K_o` of the force \[1/s\].
     #[schemars(range(min = 0))]
     pub gain_force: f64,
@@ -37,13 +37,13 @@ pub struct ObserverConfig {
     pub moment_max: f64,
 }
 
-impl ObserverConfig {
+impl DisturbanceObserverConfig {
     /// Checks that a gain is at most 1 / time step.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
-        let table = Table("controller.observer");
+        let table = Table("controller.disturbance_observer");
         table.gain("gain_force", self.gain_force, time_step)?;
         table.gain("gain_moment", self.gain_moment, time_step)
     }
@@ -85,7 +85,7 @@ impl ObserverState {
     /// Returns the time that a measured tick covers \[s\]: that since the last sample, or since the last tick.
     pub fn observe(
         &mut self,
-        config: &ObserverConfig,
+        config: &DisturbanceObserverConfig,
         sampling: Sampling,
         elapsed: f64,
         sample: MomentumSample,
@@ -105,7 +105,7 @@ impl ObserverState {
     }
 
     /// Moves `ŵ` by a sample, and returns the time that it covers \[s\].
-    fn update(&mut self, config: &ObserverConfig, elapsed: f64, sample: MomentumSample) -> f64 {
+    fn update(&mut self, config: &DisturbanceObserverConfig, elapsed: f64, sample: MomentumSample) -> f64 {
         let (waited, impulse) = std::mem::take(&mut self.between);
         let Some(last) = self.last.replace(sample) else { return elapsed };
         let rate =

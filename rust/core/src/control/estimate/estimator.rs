@@ -15,7 +15,7 @@
 
 mod config;
 
-pub use config::{ChannelConfig, EstimatorConfig, LatencyConfig};
+pub use config::{EstimatorConfig, FilterConfig, LatencyConfig};
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::acting::Acting;
@@ -225,7 +225,7 @@ pub struct Estimator {
     gains: Gains,
     /// Fractions of an unmodelled force and moment that appear in the estimated momentum per tick: those of lags with
     /// age and time constant of the linear and of the angular velocity.
-    pub momentum_shares: [f64; 2],
+    pub momentum_fractions: [f64; 2],
     /// The estimate on its way to the present.
     ahead: Predicted,
 }
@@ -289,7 +289,7 @@ impl Estimator {
         let waiting = delays.into_iter().max().unwrap_or(0);
         let latency = config.latency;
         let (whole, [left, _]) = latency.in_ticks(time_step);
-        let momentum_shares = [2, 3]
+        let momentum_fractions = [2, 3]
             .map(|of| share(((whole + delays[of]) as f64 + left) * time_step + channels[of].time_constant));
         let of_bias = config.gyro_bias.map_or(0.0, share);
         let ahead = Predicted {
@@ -302,7 +302,17 @@ impl Estimator {
         let latency_max = latency.torque + LATENCY_UNKNOWN;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most 255
         let gap_max = (BETWEEN_MAX / time_step).min(255.0) as u8;
-        Ok(Self { model, time_step, waiting, gap_max, latency, latency_max, gains, momentum_shares, ahead })
+        Ok(Self {
+            model,
+            time_step,
+            waiting,
+            gap_max,
+            latency,
+            latency_max,
+            gains,
+            momentum_fractions,
+            ahead,
+        })
     }
 
     /// State before the first measurement, for a flight that starts from `first`.

@@ -14,7 +14,7 @@
 //!
 //! Equations M94 and M110 of `docs/model`.
 
-use super::disturbance_observer::{MomentumSample, ObserverConfig, ObserverState};
+use super::disturbance_observer::{DisturbanceObserverConfig, MomentumSample, ObserverState};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::contact::add_wrenches;
 use crate::control::measure::measurement::Estimate;
@@ -135,8 +135,12 @@ impl WindObserver {
         }
         rate[2] -= kinematics.mass() * self.robot.gravity;
         add_wrenches(soles, &estimate.robot.foot_wrenches, &kinematics.com, &mut rate);
-        let gains =
-            ObserverConfig { gain_force: GAIN, gain_moment: GAIN, force_max: GREATEST, moment_max: GREATEST };
+        let gains = DisturbanceObserverConfig {
+            gain_force: GAIN,
+            gain_moment: GAIN,
+            force_max: GREATEST,
+            moment_max: GREATEST,
+        };
         let sample = MomentumSample { momentum: *momentum, rate };
         if let Some(step) = state.wrench.observe(&gains, estimate.momentum, estimate.elapsed, sample) {
             self.correct(state, kinematics, step);

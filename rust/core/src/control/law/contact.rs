@@ -88,7 +88,7 @@ pub struct LoadTransfer {
     pub hold_time: f64,
     /// Greatest vertical force on the robot that the controller's model may leave unexplained \[N\]. Above it, measured
     /// foot wrenches are judged wrong, and feet in the air count as carrying load if the set-point is below the centre
-    /// of mass by `height`. Needs `controller.observer`; without it foot sensors are trusted, and feet that are not
+    /// of mass by `height`. Needs `controller.disturbance_observer`; without it foot sensors are trusted, and feet that are not
     /// measured do not start to carry load.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]

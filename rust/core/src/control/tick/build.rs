@@ -5,8 +5,9 @@ use super::act::Torques;
 use super::decide::Law;
 use crate::aero::AeroModel;
 use crate::control::command::Command;
-use crate::control::config::{ControllerConfig, check_time_step};
-use crate::control::detect::{Detectors, Setup};
+use crate::control::config::ControllerConfig;
+use crate::control::detect::Detectors;
+use crate::control::detect::detector::Setup;
 use crate::control::estimate::estimator::Estimator;
 use crate::control::estimate::joint_tracker::JointTracker;
 use crate::control::estimate::wind_observer::WindObserver;
@@ -25,20 +26,19 @@ use crate::robot::RobotModel;
 use nalgebra::DVector;
 
 impl Controller {
-    /// Builds a controller for `robot` with the tick `time_step` \[s\]. `aero` builds its aerodynamic model after
+    /// Builds a controller for `robot`. `aero` builds its aerodynamic model after
     /// `config` has been checked, so that gains for another robot are reported before missing coefficients.
     ///
     /// # Errors
-    /// [`BuildError`] naming the part of the configuration that does not match the robot or the time step.
+    /// [`BuildError`] naming the part of the configuration that does not match the robot.
     pub fn new(
         robot: RobotModel,
         aero: impl FnOnce(&RobotModel) -> Result<AeroModel, BuildError>,
         mission: Mission,
         config: &ControllerConfig,
-        time_step: f64,
     ) -> Result<Self, BuildError> {
         config.check(&robot)?;
-        check_time_step("controller time step", time_step)?;
+        let time_step = config.time_step;
         let aero = aero(&robot)?;
         let mut robot = config.restrict(robot);
         if let Some(shaft) = &config.shaft {
@@ -49,16 +49,26 @@ impl Controller {
             model.jets.clear();
         }
         let limits = Limits::new(config.momentum, &model);
-        config.check_rate_bounds(&robot, time_step)?;
+        config.check_rate_bounds(&robot)?;
         let (of_estimator, dynamics) = (config.estimator.as_ref(), config.jet_dynamics);
         let estimator = |config| Estimator::new(config, robot.clone(), dynamics, aero.clone(), time_step);
         let estimator = of_estimator.map(estimator).transpose()?;
         let wind =
             config.wind_observer.map(|_| WindObserver::new(robot.clone(), aero.clone())).transpose()?;
-        config.observer.map_or(Ok(()), |observer| observer.check(time_step))?;
-        let momentum_shares = estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_shares);
-        let detectors =
-            Detectors::new(&Setup { config, robot: &robot, usual: &limits, momentum_shares, time_step });
+        config.disturbance_observer.map_or(Ok(()), |observer| observer.check(time_step))?;
+        let momentum_fractions =
+            estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_fractions);
+        let torque_steps = config.torque.steps;
+        let setup = Setup {
+            robot: &robot,
+            jet_dynamics: dynamics,
+            estimator: of_estimator,
+            momentum_fractions,
+            usual: &limits,
+            time_step,
+            torque_steps,
+        };
+        let detectors = Detectors::new(&config.fault_detection, &setup);
         let measures_joint_velocity = of_estimator.is_none_or(|config| config.joint_observer.is_none());
         let jets = robot.jet_models(dynamics);
         let channels =
@@ -76,7 +86,6 @@ impl Controller {
         let predictive = build_predictive(config, &model, &aero, time_step)?;
         let law = Law::new(generator, solver(unknowns, 0), unknowns, config.latency(), predictive);
         let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
-        let torque_steps = config.torque.steps;
         let period = time_step / f64::from(torque_steps);
         let command = Command::zero(jets.len(), joints);
         let contact = Contact::new(&contact, &model);
@@ -86,7 +95,7 @@ impl Controller {
             channels,
             estimator,
             wind,
-            observer: config.observer,
+            observer: config.disturbance_observer,
             has_feet: config.contact.is_some(),
             detectors,
             usual: limits.clone(),

@@ -1,15 +1,19 @@
 //! A residual in a tick: it is added to the answer of the law, and the wrench is observed that the next one sees.
 
 use crate::control::command::Command;
-use crate::control::estimate::disturbance_observer::{MomentumSample, ObserverConfig};
+use crate::control::estimate::disturbance_observer::{DisturbanceObserverConfig, MomentumSample};
 use crate::control::law::residual::{Policy, Residual};
 use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 
 /// Observer of the wrench that a policy sees.
-const OBSERVER: ObserverConfig =
-    ObserverConfig { gain_force: 3.0, gain_moment: 3.0, force_max: f64::INFINITY, moment_max: f64::INFINITY };
+const OBSERVER: DisturbanceObserverConfig = DisturbanceObserverConfig {
+    gain_force: 3.0,
+    gain_moment: 3.0,
+    force_max: f64::INFINITY,
+    moment_max: f64::INFINITY,
+};
 
 /// Adds the residual of a tick to the answer of the law (M172), and, from the first one on, observes the wrench for the
 /// next tick. A given residual takes the place of the policy's.

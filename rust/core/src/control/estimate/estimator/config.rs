@@ -9,19 +9,19 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct EstimatorConfig {
     /// Position of the base origin.
-    pub base_position: ChannelConfig,
+    pub base_position: FilterConfig,
     /// Rotation of the base.
-    pub base_rotation: ChannelConfig,
+    pub base_rotation: FilterConfig,
     /// Velocity of the base origin.
-    pub base_linear_velocity: ChannelConfig,
+    pub base_linear_velocity: FilterConfig,
     /// Gyroscopes.
-    pub base_angular_velocity: ChannelConfig,
+    pub base_angular_velocity: FilterConfig,
     /// Joint positions.
-    pub joint_position: ChannelConfig,
+    pub joint_position: FilterConfig,
     /// Joint velocities.
-    pub joint_velocity: ChannelConfig,
+    pub joint_velocity: FilterConfig,
     /// Thrusts.
-    pub thrust: ChannelConfig,
+    pub thrust: FilterConfig,
     /// Time constant \[s\] of an observer that estimates joint velocities, and joint accelerations that the model does
     /// not explain, from the joint positions alone. It replaces `joint_velocity` and the time constant of
     /// `joint_position`; joint velocities then need not be measured.
@@ -66,7 +66,7 @@ impl LatencyConfig {
 /// One kind of measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct ChannelConfig {
+pub struct FilterConfig {
     /// Age of the measurement on arrival, rounded to ticks \[s\].
     #[schemars(range(min = 0, max = 0.2))]
     pub delay: f64,
@@ -77,7 +77,7 @@ pub struct ChannelConfig {
 
 impl EstimatorConfig {
     /// Each kind of measurement with its key.
-    pub(super) fn channels(&self) -> [(&'static str, &ChannelConfig); 7] {
+    pub(super) fn channels(&self) -> [(&'static str, &FilterConfig); 7] {
         [
             ("base_position", &self.base_position),
             ("base_rotation", &self.base_rotation),

@@ -28,10 +28,10 @@ from jax_aero.body.jets import acceleration_range, acceleration_slopes
 from jax_aero.body.linalg import dot
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import skew
-from jax_aero.control.law.mpc.clearance import distances
-from jax_aero.control.law.mpc.config import Mpc, MpcWeights, Structure
-from jax_aero.control.law.mpc.model import Linearised
 from jax_aero.control.measurement import Measurement
+from jax_aero.control.mpc.clearance import distances
+from jax_aero.control.mpc.config import Mpc, MpcWeights, Structure
+from jax_aero.control.mpc.model import Linearised
 from jax_aero.control.qp import BoxQp
 from jax_aero.control.terms import Model
 from jax_aero.types import Array

@@ -26,12 +26,12 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import log_so3, rotate
 from jax_aero.control import qp
 from jax_aero.control.law import setpoint as generator
-from jax_aero.control.law.mpc.config import Mpc
-from jax_aero.control.law.mpc.horizon import Horizon, Target, horizon
-from jax_aero.control.law.mpc.model import linearise
-from jax_aero.control.law.mpc.plan import Plan
+from jax_aero.control.law.plan import Plan
 from jax_aero.control.law.rates import Followed, MomentumLaw, Prepared, Rates
 from jax_aero.control.measurement import Measurement
+from jax_aero.control.mpc.config import Mpc
+from jax_aero.control.mpc.horizon import Horizon, Target, horizon
+from jax_aero.control.mpc.model import linearise
 from jax_aero.control.preview import setpoints_at, wind_change
 from jax_aero.control.qp import BoxQp, QpAnswer
 from jax_aero.control.state import ControllerState

@@ -21,8 +21,8 @@ from jaxtyping import Float
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.body.linalg import solve_positive_definite
 from jax_aero.body.robot import RobotModel
-from jax_aero.control.guard import observer
-from jax_aero.control.guard.observer import ObserverGains, ObserverState
+from jax_aero.control.estimate import disturbance_observer
+from jax_aero.control.estimate.disturbance_observer import ObserverGains, ObserverState
 from jax_aero.types import Array, Kinematics, where
 
 DIFFERENCE = 0.1
@@ -86,7 +86,7 @@ def start(like: Float[Array, "..."]) -> WindState:
     """Return the state before the first tick in the precision of `like`: zero wind, uncertain by a second's walk."""
     std, zero = jnp.array([WALK, WALK, VERTICAL_STD], like.dtype), jnp.zeros((), like.dtype)
     none = jnp.zeros((3, 3), std.dtype)
-    return WindState(observer.start(std), jnp.zeros_like(std), jnp.diag(std * std), none, zero, zero)
+    return WindState(disturbance_observer.start(std), jnp.zeros_like(std), jnp.diag(std * std), none, zero, zero)
 
 
 def update(
@@ -102,7 +102,7 @@ def update(
     """Process a tick, `step` [s] after the last one: centroidal momentum [kg m/s, kg m²/s], `A_T` and thrusts [N]."""
     rate = jnp.sum(a_t * thrust[None], axis=1).at[2].add(-robot.mass * robot.gravity)
     gains = ObserverGains(*(jnp.full_like(step, x) for x in (GAIN, GAIN, GREATEST, GREATEST)))
-    wrench = observer.update(gains, step, before.wrench, momentum, rate)
+    wrench = disturbance_observer.update(gains, step, before.wrench, momentum, rate)
     force = wrench.wrench[:3]
 
     # Horizontal winds are a random walk; vertical ones return to zero.

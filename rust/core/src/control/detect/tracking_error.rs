@@ -1,28 +1,34 @@
-//! Whether the flight follows its set-point, or strays so far from it that it may be lost.
+//! Whether the tracking errors of the flight are so large that it may be lost.
 //!
 //! ```text
 //! φ̂ = log(R_dᵀ R) + T (R_dᵀ ω − ω_d)        rotation error in `horizon` T
 //! p̂ = p_G − p_d + T (ṗ_G − ṗ_d)              error of the centre of mass in `horizon`
 //! ```
 //!
-//! A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
+//! They are too large if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
 //! the cause is. Equations M148 and M149 of `docs/model`.
 
-use super::detector::{Detector, Evidence, Findings};
+use super::detector::{Detector, Evidence, Findings, Setup};
 use crate::control::law::setpoint::Setpoint;
 use crate::control::limits::Limits;
 use crate::control::measure::measurement::Estimate;
-use crate::control::modes::Modes;
+use crate::control::modes::{Mode, Modes, modes};
 use crate::dynamics::Dynamics;
 use crate::kinematics::{Kinematics, RobotState};
 use crate::spatial::{log_so3, parts};
 use crate::timing::Exceeded;
 use serde::{Deserialize, Serialize};
 
-/// When a flight strays from its set-point.
+modes! {
+    MODES:
+    /// The flight is too far from its set-point, or its joints are too fast.
+    TRACKING_ERROR = 14, "tracking_error";
+}
+
+/// When tracking errors count as too large.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct SupervisorConfig {
+pub struct TrackingErrorConfig {
     /// Time by which errors are extrapolated with their rates \[s\].
     #[schemars(range(min = 0))]
     pub horizon: f64,
@@ -74,8 +80,8 @@ impl Errors {
     }
 }
 
-impl SupervisorConfig {
-    /// Takes in the errors of a tick, `elapsed` \[s\] after the last one; returns whether the flight strays.
+impl TrackingErrorConfig {
+    /// Takes in the errors of a tick, `elapsed` \[s\] after the last one; returns whether they are too large.
     pub fn update(&self, exceeded: &mut Exceeded, elapsed: f64, errors: &Errors) -> bool {
         let is_beyond = errors.rotation > self.rotation
             || errors.position > self.position
@@ -85,8 +91,14 @@ impl SupervisorConfig {
     }
 }
 
-impl Detector for SupervisorConfig {
+impl Detector for TrackingErrorConfig {
+    type Config = Self;
     type State = Exceeded;
+    const MODES: &'static [Mode] = &MODES;
+
+    fn build(config: &Self, _: &Setup) -> Self {
+        *config
+    }
 
     fn start(&self, _: &Estimate) -> Exceeded {
         Exceeded::default()
@@ -96,7 +108,7 @@ impl Detector for SupervisorConfig {
         let Evidence { estimate, kinematics, dynamics, setpoint, .. } = *tick;
         let errors = Errors::ahead(self.horizon, &estimate.robot.state, kinematics, dynamics, setpoint);
         if self.update(exceeded, estimate.elapsed, &errors) {
-            findings.modes.insert(Modes::STRAYING);
+            findings.modes.insert(Modes::TRACKING_ERROR);
         }
     }
 }

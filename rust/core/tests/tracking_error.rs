@@ -6,15 +6,20 @@ use crate::common::{Running, TIME_STEP, experiment};
 use crate::control::Sample as _;
 use flight_core::Measurement;
 use flight_core::control::Modes;
-use flight_core::control::detect::supervisor::{Errors, SupervisorConfig};
+use flight_core::control::detect::tracking_error::{Errors, TrackingErrorConfig};
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::spatial::axis_angle;
 use flight_core::timing::Exceeded;
 use flight_io::load_robot;
 use nalgebra::{Matrix3, Vector3};
 
-const LIMITS: SupervisorConfig =
-    SupervisorConfig { horizon: 0.5, rotation: 0.6, position: 0.4, joint_velocity: 2.0, confirmation: 0.03 };
+const LIMITS: TrackingErrorConfig = TrackingErrorConfig {
+    horizon: 0.5,
+    rotation: 0.6,
+    position: 0.4,
+    joint_velocity: 2.0,
+    confirmation: 0.03,
+};
 
 /// A limit counts after the confirmation time, in which it has been exceeded throughout.
 #[test]
@@ -36,7 +41,8 @@ fn a_limit_has_to_be_exceeded_for_a_while() {
 fn says(change: impl Fn(&mut Measurement, &mut Setpoint)) -> Modes {
     let mut config = experiment("test2_observer");
     let law = &mut config.controller.law;
-    (law.supervisor, law.channels.jump, law.engines) = (Some(LIMITS), None, None);
+    (law.fault_detection.tracking_error, law.channels.jump, law.fault_detection.engines) =
+        (Some(LIMITS), None, None);
     let mut controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
     let mut sample = Measurement::start(&config);
     controller.tick(&sample);
@@ -94,6 +100,6 @@ fn errors_count_with_their_rates() {
     ];
     for (what, expected, change) in cases {
         let modes = says(change);
-        assert_eq!(modes, if expected { Modes::STRAYING } else { Modes::default() }, "{what}: {modes}");
+        assert_eq!(modes, if expected { Modes::TRACKING_ERROR } else { Modes::default() }, "{what}: {modes}");
     }
 }

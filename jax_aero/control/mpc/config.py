@@ -13,7 +13,7 @@ from jax_aero import config
 from jax_aero.body.jets import Engines, engines
 from jax_aero.body.robot import RobotModel
 from jax_aero.config import Air
-from jax_aero.control.law.mpc.clearance import Clearance, clearance_params
+from jax_aero.control.mpc.clearance import Clearance, clearance_params
 from jax_aero.types import Array, leaf, pytree, static
 
 
@@ -112,7 +112,7 @@ def mpc_params(
         joint_excess=leaf(settings.joint_excess),
         clearance=clearance_params(settings.clearance, robot),
         weights=_weights(settings.weights, robot, structure.joints),
-        engines=engines(robot, robot.jets.engines) if jet_dynamics == "second_order" else None,
+        engines=engines(robot, robot.jets.engines) if jet_dynamics == "throttled" else None,
     )
 
 
