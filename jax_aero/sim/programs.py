@@ -10,6 +10,7 @@ import hashlib
 import os
 import platform
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -24,6 +25,7 @@ def _processor() -> str:
 
 def keep_programs() -> None:
     """Let JAX keep what it compiles for a second and longer, unless the user has said where."""
-    if jax.config.jax_compilation_cache_dir is None:
+    config: Any = jax.config
+    if config.jax_compilation_cache_dir is None:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(root / "jax-aero" / _processor()))
+        config.update("jax_compilation_cache_dir", str(root / "jax-aero" / _processor()))
