@@ -10,7 +10,7 @@
 //! thrusts and air, show in the rows of the base, and in those of the joints by at most their reach ℓ times the force. A joint
 //! with ρ > 1 for a confirmation time is faulty: stuck if it stands still while it is commanded to move; otherwise the
 //! regression of x on the commanded torque gives the share of the torque that acts. What is found is revised in the same way.
-//! Equation M143 of `docs/model/guard.md`; Haddadin, De Luca and Albu-Schäffer, "Robot collisions", IEEE T-RO 2017, have the
+//! Equation M143 of `docs/model`; Haddadin, De Luca and Albu-Schäffer, "Robot collisions", IEEE T-RO 2017, have the
 //! residual of the momentum.
 
 use super::detector::{Detector, Evidence, Findings, Setup};
