@@ -249,7 +249,7 @@ def _firsts(design: Design, flights: pd.DataFrame) -> Iterator[list[Any]]:
     """
     first = flights[flights["repeat"] == 0].assign(max_rotation_error=np.radians(flights["max_rotation_error_deg"]))
     for levels, flight in zip(design.cells, first.to_dict("records"), strict=True):
-        is_of_crate = design.spec.engine == "rust" and not any("own_controller" in level.set for level in levels)
+        is_of_crate = design.spec.backend == "rust" and not any("own_controller" in level.set for level in levels)
         yield first_of(flight) if is_of_crate else []
 
 

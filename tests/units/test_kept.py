@@ -197,7 +197,7 @@ def test_a_kept_sweep_whose_bits_are_those_of_its_processor_succeeds_as_often(na
     design = Design(spec.load(name))
     cell = pick(name, range(len(design.cells)))
     configs = [design.row_config(repeat * len(design.cells) + cell) for repeat in range(FLOWN)]
-    flown = backends.backend(design.spec.engine).fly_batch(configs)
+    flown = backends.backend(design.spec.backend).fly_batch(configs)
     here = wilson(sum(flight.outcome in UPRIGHT for flight in flown), FLOWN)
     there = kept.read(name).cells()[cell]
     assert max(here[0], there["upright_low"]) <= min(here[1], there["upright_high"]), cell
