@@ -62,8 +62,8 @@ MONITOR = 4e-4
 """Deviation of the monitor's latency of thrusts from the truth [s]; ours, of other draws."""
 PAYLOAD = {"mass": 1.5, "length": 0.6, "angle": 0.35}
 """A mass on a rope at the base that swings by itself [kg, m, rad]."""
-STIFFNESS = 150.0
-"""Of a joint that bends [N m/rad]."""
+BEND = 0.05
+"""Standard deviation of the bend of a joint that its encoder does not measure [rad]."""
 WIDER = 1.2
 """Geometric mean of intervals, over those of the same robot without a defect, from which they are wider."""
 
@@ -187,10 +187,11 @@ def with_payload(drawn: rust.Config, robot: rust.Robot, rng: np.random.Generator
 
 
 def bent(log: Mapping[str, Array], rng: np.random.Generator) -> dict[str, Array]:
-    """Return a log in which a joint that works bends between its encoder and its link."""
+    """Return a log in which one of the joints that work most bends with its torque between encoder and link."""
     torque, positions = log["joint_torque"], log["raw_joint_position"].copy()
-    joint = rng.choice(np.argsort(-np.mean(torque**2, axis=0))[:6])
-    positions[:, joint] += torque[:, joint] / STIFFNESS
+    size = np.std(torque, axis=0)
+    joint = rng.choice(np.argsort(-size)[:6])
+    positions[:, joint] += BEND * torque[:, joint] / size[joint]
     return {**log, "raw_joint_position": positions}
 
 
