@@ -26,7 +26,7 @@ from jax_aero.config import ScenarioConfig
 from jax_aero.sim.outcome import FLYING
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.preparation import prepare, read_config
-from jax_aero.sim.rollout import CHUNK, Ending, in_order, make_result
+from jax_aero.sim.rollout import CHUNK, Ending, make_result
 from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.step import FlightState, step
 from jax_aero.types import Array
@@ -60,12 +60,12 @@ def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
     Its only joint has the greatest torque, and its position is the sum of the joint errors; its only link has the sums
     of the forces.
     """
-    return {name: log[name] for name in SAME} | {
+    condensed = {
         "joint_torque": abs(log["joint_torque"]).max(-1, initial=0.0, keepdims=True),
         "joint_position": abs(log["joint_position"] - joint_setpoint).sum(-1, keepdims=True),
-        "aero_force_sim": log["aero_force_sim"].sum(-2, keepdims=True),
-        "aero_force_control": log["aero_force_control"].sum(-2, keepdims=True),
     }
+    condensed |= {name: log[name].sum(-2, keepdims=True) for name in log if name.startswith("aero_force")}
+    return {name: log[name] for name in SAME if name in log} | condensed
 
 
 class Group(NamedTuple):
@@ -222,9 +222,7 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
         if not np.any(np.asarray(state.loss) == FLYING):
             break
     losses, sizes, ticks, postures = jax.device_get((state.loss, state.loss_size, state.loss_tick, state.posture))
-    signals = {
-        name: np.concatenate([chunk[name] for chunk in kept], axis=1, dtype=np.float64) for name in in_order(kept[0])
-    }
+    signals = {name: np.concatenate([chunk[name] for chunk in kept], axis=1, dtype=np.float64) for name in kept[0]}
     flights = []
     for row in range(len(group.places)):
         own = {name: signal[row] for name, signal in signals.items()}

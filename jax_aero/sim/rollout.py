@@ -26,7 +26,7 @@ from jax_aero.sim.outcome import COURSE_ERROR, FLYING, NOT_FINITE, lost_reason
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.preparation import prepare
 from jax_aero.sim.scenario import Scenario
-from jax_aero.sim.signals import FlightRow
+from jax_aero.sim.signals import FlightRow, complete
 from jax_aero.sim.step import FlightState, step
 from jax_aero.types import Array
 
@@ -126,14 +126,9 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
             progress(min(first + together, n_ticks), n_ticks)
         if int(state.loss) != FLYING:
             break
-    log = {name: np.concatenate([chunk[name] for chunk in rows], dtype=np.float64) for name in in_order(rows[0])}
+    log = {name: np.concatenate([chunk[name] for chunk in rows], dtype=np.float64) for name in rows[0]}
     ending = Ending(int(state.loss), float(state.loss_size), int(state.loss_tick))
     return make_result(log, np.asarray(state.posture, np.float64), ending, n_ticks)
-
-
-def in_order(row: FlightRow) -> list[str]:
-    """Return the names of a row as the crate declares them; JAX sorts those of a dict."""
-    return [name for name in rust.signals() if name in row]
 
 
 class Ending(NamedTuple):
@@ -149,7 +144,7 @@ def make_result(
 ) -> FlightResult:
     """Return the flight of whole or condensed rows, the latter without a log, without the ticks after its end."""
     is_lost = 0 <= ending.tick <= n_ticks
-    signals = {name: signal[: (ending.tick if is_lost else n_ticks) + 1] for name, signal in signals.items()}
+    signals = complete({name: signal[: (ending.tick if is_lost else n_ticks) + 1] for name, signal in signals.items()})
     has_diverged = is_lost and ending.loss >= NOT_FINITE
     # The row that exceeds the divergence limits is in the log, but not in the figures of merit.
     judged = {name: signal[:-1] for name, signal in signals.items()} if has_diverged else signals

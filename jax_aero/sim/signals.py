@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from jax_aero import rust
@@ -14,10 +16,11 @@ from jax_aero.sim.plant import Observation, PlantState
 from jax_aero.types import Array
 
 FlightRow: TypeAlias = dict[str, Array]
-"""One tick of the log: the signals that `rust.signals` declares, in its order, but for those of the ground.
+"""One tick of the log: the signals of `rust.signals` that are computed, which depends on the controller.
 
-Signals that a controller does not compute are NaN, as is everything that follows from a state that is not finite.
-Of what the crate's guard finds, the condition of joints is that of healthy ones, and latencies are not known.
+All that follows from a state that is not finite is NaN. `complete` makes signals that are not computed NaN in the log,
+as compiled code without NaN is what `jax_debug_nans` demands. Of what the crate's guard finds, the condition of joints
+is that of healthy ones, and latencies are not known.
 """
 
 
@@ -32,8 +35,8 @@ class Tick(NamedTuple):
     seen: Observation
     measurement: Measurement
     command: Command
-    rotation_error: Float[Array, ""]
-    """Angle between base and set-point [rad]; NaN without one."""
+    rotation_error: Float[Array, ""] | None
+    """Angle between base and set-point [rad], if there is one."""
 
 
 def record(tick: Tick) -> FlightRow:
@@ -51,7 +54,6 @@ def record(tick: Tick) -> FlightRow:
         "joint_velocity": robot.velocity[6:],
         "com_position": seen.kinematics.com,
         "com_velocity": momentum[:3] / mass,
-        "rotation_error": rotation_error,
         "thrust": state.jets.thrust,
         "thrust_rate": command.thrust_rate,
         "joint_torque": command.joint_torque,
@@ -73,9 +75,12 @@ def record(tick: Tick) -> FlightRow:
         "raw_thrust": raw.thrust,
         "raw_wind": raw.wind,
     }
-    for name in ("status", "kkt", "iterations"):
-        answers = [getattr(answer, name, jnp.nan) for answer in (command.momentum_qp, command.torque_qp)]
-        row[f"qp_{name}"] = jnp.stack([jnp.asarray(answer, time.dtype) for answer in answers])
+    if command.momentum_qp is not None and command.torque_qp is not None:
+        for name in ("status", "kkt", "iterations"):
+            answers = [getattr(answer, name) for answer in (command.momentum_qp, command.torque_qp)]
+            row[f"qp_{name}"] = jnp.stack([jnp.asarray(answer, time.dtype) for answer in answers])
+    if rotation_error is not None:
+        row["rotation_error"] = rotation_error
     if command.joint_velocity is not None:
         row["joint_velocity_command"] = command.joint_velocity
     if command.degraded_modes is not None:
@@ -90,6 +95,11 @@ def record(tick: Tick) -> FlightRow:
         row["joint_condition"] = jnp.zeros_like(command.joint_torque)
     if setpoint is not None and terms is not None:
         row["momentum_setpoint"] = jnp.pad(terms.dynamics.mass_matrix[0, 0] * setpoint.com_velocity, (0, 3))
+    return row
+
+
+def complete(log: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the log of a flight with NaN for the signals that were not computed, in the order of `rust.signals`."""
     sizes = {
         "xyz": 3,
         "base_axis": 3,
@@ -97,16 +107,16 @@ def record(tick: Tick) -> FlightRow:
         "wxyz": 4,
         "six": 6,
         "qp": 2,
-        "joint": robot.joint_position.size,
-        "jet": state.jets.thrust.size,
-        "link": len(seen.link_forces.forces),
+        "joint": log["joint_position"].shape[-1],
+        "jet": log["thrust"].shape[-1],
+        "link": log["aero_force_sim"].shape[-2],
     }
     shapes = {
-        name: tuple(sizes[dim] for dim in signal.dims[1:])
+        name: (len(log["time"]), *(sizes[dim] for dim in signal.dims[1:]))
         for name, signal in rust.signals().items()
         if signal.dims[0] == "time" and not signal.is_of_ground
     }
-    return {name: row[name] if name in row else jnp.full(shape, jnp.nan, time.dtype) for name, shape in shapes.items()}
+    return {name: log[name] if name in log else np.full(shape, np.nan) for name, shape in shapes.items()}
 
 
 def record_divergence(time: Float[Array, ""], wind: Float[Array, "3"], state: PlantState, row: FlightRow) -> FlightRow:

@@ -133,11 +133,12 @@ def _truth(scenario: Scenario, now: PlantState, moment: Moment, wind: Array) -> 
     return Measurement(moment.time, now.robot, scenario.plant.jets.feedback(now.jets), wind)
 
 
-def _errors(scenario: Scenario, now: PlantState, seen: Observation, command: Command) -> tuple[Array, Array, Array]:
+def _errors(
+    scenario: Scenario, now: PlantState, seen: Observation, command: Command
+) -> tuple[Array | None, Array, Array]:
     """Return the rotation error [rad], whether and why the robot has fallen, and the error of the fall."""
-    zero = jnp.zeros_like(scenario.plant.time_step)
     if command.setpoint is None:
-        return jnp.full_like(zero, jnp.nan), jnp.array(FLYING, jnp.int32), zero
+        return None, jnp.array(FLYING, jnp.int32), jnp.zeros_like(scenario.plant.time_step)
     rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
     com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
     return rotation_error, *outcome.fall(scenario.fall, rotation_error, com_error)
