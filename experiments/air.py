@@ -39,6 +39,7 @@ from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.body.spatial import cross
 from jax_aero.cli import Parser, add_name, complete_with
 from jax_aero.types import Array
+from paper_figs import style
 
 MAX_ANGLES = 10_000
 """Greatest number of angles in a range."""
@@ -239,7 +240,8 @@ def _draw(
 ) -> Figure:
     """Draw force areas of the robot by model, its moments, and the drag of each link of the first model."""
     angle = "alpha_deg" if len({row["alpha_deg"] for row in rows}) > 1 else "beta_deg"
-    figure = Figure(figsize=(10.0, 6.0), layout="constrained")
+    style.use()
+    figure = style.figure(6.0, 10.0)
     grid = figure.subplots(2, 3)
 
     def series(model: str, link: str, column: str) -> tuple[list[float], list[float]]:
