@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -56,13 +57,16 @@ def main(arguments: Sequence[str]) -> int:
             for robot, level in levels.items()
             if level is not None
         }
-        document = beside(name, flown, times(levels))
+        seed = [] if given.seed is None else ["--seed", str(given.seed)]
+        command = shlex.join(["jax-aero", "challenge", given.controller, *seed])
+        document = structs.replace(beside(name, flown, times(levels)), command=command, seed=given.seed)
         print(text_table(kept.table(document)))
         folder = (given.out or places.RESULTS / "challenge") / name
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / f"{name}.json", kept.to_json(document))
         write_bytes(folder / f"{name}.webp", pictures.draw(document))
-        print("\n".join(f"{label}: {figures}" for label, figures in document.summary.items()))
+        headings = ("controller", *next(iter(document.summary.values())))
+        print(text_table([headings, *((name, *map(str, of.values())) for name, of in document.summary.items())]))
         print(os.path.relpath(folder))
 
     return exit_status(work, interrupted="the same command goes on with the next chunk")
@@ -93,8 +97,18 @@ def specs(robot: str, level: Level, seed: int | None = None) -> Iterator[Spec]:
 
 
 def fly(tasks: Spec, workers: int | None = None, out: Path | None = None) -> Kept:
-    """Fly the tasks, or what is missing of them; refuse a controller that fails in one, since it then has no score."""
+    """Fly the tasks, or what is missing of them; refuse a controller that fails in one, since it then has no score.
+
+    A controller of one's own that fails in the first one is refused before the others.
+    """
     design = Design(tasks)
+    if "own_controller" in (first := design.row_config(0)):
+        try:
+            rust.fly(first)
+        except ValueError as reason:
+            raise Refused(
+                f"{tasks.name}: the first flight could not be flown, so there is no score: {reason}"
+            ) from None
     found = record.read_manifest((out or run.RESULTS) / tasks.name)
     is_other = found is not None and bool(run.identity_of(design).difference(found))
     folder = run.run(design, workers=workers, out=out, overwrite=is_other)
@@ -113,12 +127,12 @@ def beside(name: str, flown: Mapping[str, Sequence[Kept]], timed: Mapping[str, A
         name=name,
         title="wind-humanoid-1",
         about="",
-        seed=None,
-        command=f"jax-aero challenge {name}",
         axes=[structs.replace(axis, levels=found) for axis, found in zip(last.axes, levels, strict=True)],
         rows=[row for one in all_of for row in one.rows if ALL not in row[:2]],
         outcomes={},
         firsts=[],
+        claims={},
+        states={},
         shows=["share", "errors"],
         summary=dict(timed),
     )

@@ -22,7 +22,7 @@ from typing import Any, cast
 
 from jax_aero.base.terminal import ConfigError
 
-KNOWN = ("time_step", "duration", "jets", "fall")
+KNOWN = ("duration", "jets", "fall")
 """Keys of the simulator that a controller may know."""
 
 
