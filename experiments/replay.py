@@ -59,7 +59,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("log", type=Path, metavar="LOG", help="result, or .mcap, .mat or .csv file")
     about = "experiment with the robot, mission and controller (default: what the log was flown with)"
     parser.add_argument("--experiment", metavar="NAME", help=about)
-    parser.add_argument("--control", metavar="NAME", help="another controller, of configs/control, or the path of one")
+    parser.add_argument("--controller", metavar="NAME", help="another one, of configs/control, or its file")
     parser.add_argument("--robot", metavar="FILE", help="robot file, for a log of a robot of your own")
     study.add_set(parser)
     parser.add_argument("--map", type=Path, metavar="FILE", help="TOML file that names the columns of a log of others")
@@ -84,8 +84,8 @@ def _replay(given: argparse.Namespace) -> int:
         raise Refused(f"`{given.log}` does not hold the configuration of a flight; expected --experiment NAME")
     if given.robot is not None:
         config = {**config, "robot": str(Path(given.robot).resolve())}
-    if given.control is not None:
-        config = {**config, "controller": rust.load_controller(given.control)}
+    if given.controller is not None:
+        config = {**config, "controller": rust.load_controller(given.controller)}
     config = rust.set_keys(config, changes)
     recorded, computed = replay(log, config, given.log)
     differences = compare(recorded, computed)
@@ -105,7 +105,7 @@ def replay(log: logs.Log, config: rust.Config, path: Path) -> tuple[Mapping[str,
     """Return the signals of a log, and those that the controller computes from it, at the law's ticks that it holds."""
     steps = int(rust.resolve_config(config)["controller"]["torque"]["steps"])
     period = float(config["controller"]["time_step"]) / steps
-    log = on_its_feet(log, config)
+    log = _on_its_feet(log, config)
     needed = () if config["controller"].get("estimator") else ("raw_joint_velocity",)
     try:
         recorded, is_recorded = logs.at_ticks(log, rust.Robot(config["robot"]), period, path, also=needed)
@@ -120,7 +120,7 @@ def replay(log: logs.Log, config: rust.Config, path: Path) -> tuple[Mapping[str,
     )
 
 
-def on_its_feet(log: logs.Log, config: rust.Config) -> logs.Log:
+def _on_its_feet(log: logs.Log, config: rust.Config) -> logs.Log:
     """Return a log with what a standing robot need not measure.
 
     The base follows from the joints, the first sole being flat and at rest at the origin of the inertial axes; jets
@@ -200,18 +200,17 @@ def _draw(
     out: Path,
 ) -> None:
     """Draw the signals that differ most, without those of the solvers: of each the entry that differs most."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from paper_figs import style
 
+    style.use()
     shown = [one for one in differences if "qp" not in rust.signals()[one.signal].dims][:PANELS]
-    figure = Figure(figsize=(7.2, 1.4 * max(len(shown), 1) + 0.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = style.figure(1.4 * max(len(shown), 1) + 0.6)
     time = computed["time"]
     for axes, one in zip(np.ravel(figure.subplots(max(len(shown), 1), sharex=True)), shown, strict=True):
         before, after = (np.reshape(signals[one.signal], (time.size, -1)) for signals in (recorded, computed))
         entry = int(np.nan_to_num(np.abs(after - before)).max(axis=0).argmax())
-        axes.plot(time, before[:, entry], color="#7F7F7F", label="log")
-        axes.plot(time, after[:, entry], color="#D55E00", linestyle="--", label="replay")
+        axes.plot(time, before[:, entry], color=style.GREY, label="log")
+        axes.plot(time, after[:, entry], color=style.VERMILION, linestyle="--", label="replay")
         name = column_name(one.signal, entries_of(one.signal, robot)[entry])
         axes.set_title(f"{name} [{rust.signals()[one.signal].unit}]", fontsize=8, loc="left")
         axes.tick_params(labelsize=7)

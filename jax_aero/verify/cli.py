@@ -1,4 +1,4 @@
-"""Comparison of the Rust crate with JAX, on the same states and in the same flight.
+"""Comparison of the Rust crate with JAX, on the same states and in the same flight, and with the C library.
 
     jax-aero verify                                    # TEST2: random states, every tick, the flight
     jax-aero verify --config test2_published --set wind.velocity=[0,-12,0]
@@ -17,8 +17,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -51,6 +49,7 @@ def _compare(options: argparse.Namespace) -> int:
     from jax_aero.sim.preparation import read_config, refuse
     from jax_aero.verify.flight import verify_flight
     from jax_aero.verify.law import verify_law
+    from jax_aero.verify.library import BUILD, find, verify_library, why_not
     from jax_aero.verify.reach import unreached
     from jax_aero.verify.ticks import verify_ticks
 
@@ -61,12 +60,12 @@ def _compare(options: argparse.Namespace) -> int:
     _check_replaceable(folder, facts, overwrite=options.overwrite)
     robot, found = options.robot if config is None else config["robot"], {}
     with jax.enable_x64(True):
-        rows = verify_robots(robot, options.states, options.backend, options.seed)
+        rows = verify_robots(robot, options.states, options.dynamics, options.seed)
         if config is not None:
             if compared(config) == "tick":
                 samples = random_samples(config, options.states, options.seed)
                 rows += verify_ticks(config, samples)
-                flight = verify_flight(config, options.backend)
+                flight = verify_flight(config, options.dynamics)
                 rows += flight.rows
                 found = {
                     "compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s",
@@ -79,6 +78,10 @@ def _compare(options: argparse.Namespace) -> int:
                     "compared": f"{share:.1%} of the ticks, the law alone",
                     "not reached": ["what no tick of this flight reaches, which is not examined"],
                 }
+            library, reason = options.library or find(), why_not(config)
+            if library is not None and reason is None:
+                rows += verify_library(config, library)
+            found["C library"] = f"not compared: {reason}" if reason else str(library or f"not built: {BUILD}")
     print(table(rows))
     written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts, **found})
     bad = [row for row in rows if not row.agrees]
@@ -90,7 +93,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _subject(options: argparse.Namespace, config: rust.Config | None) -> tuple[Path, dict[str, Any]]:
     """Return the folder of the result, and what it is a result of."""
-    facts = {"backend": options.backend, "states": options.states, "seed": options.seed}
+    facts = {"backend": options.dynamics, "states": options.states, "seed": options.seed}
     if config is None:
         robot = rust.Robot(options.robot)
         name = places.file_name(robot.name)
@@ -120,11 +123,13 @@ def _parse(arguments: Sequence[str]) -> Any:
     chosen = what.add_argument("--config", default="test2", metavar="NAME", help="flight to compare: name or path")
     complete_with(chosen, lambda: places.names("experiments"))
     what.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
-    parser.add_argument("--controller", type=Path, help="controller file that replaces the flight's")
+    parser.add_argument("--controller", metavar="NAME", help="another one, of configs/control, or its file")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
     parser.add_argument("--states", type=count, default=50, help="number of random and of recorded states")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
+    parser.add_argument("--dynamics", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
+    about = "libflight.so to compare (default: the newest that cargo built)"
+    parser.add_argument("--library", type=Path, metavar="FILE", help=about)
     parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")
     parser.add_argument("--overwrite", action="store_true", help="replace the result of another comparison")
     options = parser.parse_args(arguments)
@@ -135,14 +140,9 @@ def _parse(arguments: Sequence[str]) -> Any:
 
 def _config(options: argparse.Namespace) -> dict[str, Any]:
     changes = parse_assignments(options.set)
-    if options.controller is None:
-        return rust.load_config(options.config, changes)
-    with tempfile.TemporaryDirectory() as folder:
-        mixed = Path(folder) / "mixed.toml"
-        config = places.find("experiments", options.config)
-        base, controller = (json.dumps(str(path.resolve())) for path in (config, options.controller))
-        mixed.write_text(f"base = {base}\ncontroller = {{ base = {controller} }}\n", encoding="utf-8")
-        return rust.load_config(mixed, changes)
+    if options.controller is not None:
+        changes = {"controller": rust.load_controller(options.controller), **changes}
+    return rust.load_config(options.config, changes)
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -161,9 +161,11 @@ def table(rows: Sequence[Row]) -> str:
 def draw(rows: Sequence[Row], path: Path) -> bool:
     """Draw every difference beside its tolerance; return `False` without matplotlib."""
     try:
+        from matplotlib import rcdefaults
         from matplotlib.figure import Figure
     except ImportError:
         return False
+    rcdefaults()
     figure = Figure(figsize=(7.0, 0.8 + 0.16 * len(rows)), layout="constrained")
     axes = figure.subplots()
     places = np.arange(len(rows))

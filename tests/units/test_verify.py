@@ -238,7 +238,7 @@ def test_results_of_robots_are_named_after_them(monkeypatch, tmp_path):
 
 def test_a_robot_alone_is_compared_without_a_flight(compared, tmp_path):
     path = str(rust.load_config("test1")["robot"])
-    assert cli.main(["--robot", path, "--backend", "mjx", "--out", str(tmp_path)]) == 0
+    assert cli.main(["--robot", path, "--dynamics", "mjx", "--out", str(tmp_path)]) == 0
     assert compared[0] == [(path, 50, "mjx", 0)]
     assert json.loads((tmp_path / "verify.json").read_text())["backend"] == "mjx"
 
