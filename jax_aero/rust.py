@@ -56,7 +56,7 @@ from jax_aero._core import (
 from jax_aero.base.keys import parts
 from jax_aero.base.places import find
 from jax_aero.base.plain import to_builtins
-from jax_aero.base.result import FlightResult
+from jax_aero.base.result import FlightResult, brief
 from jax_aero.base.terminal import ConfigError, Progress
 from jax_aero.body import spatial
 
@@ -70,6 +70,7 @@ __all__ = [
     "ContactTick",
     "Controller",
     "ControllerState",
+    "Csv",
     "Dynamics",
     "Estimates",
     "Flight",
@@ -108,6 +109,7 @@ __all__ = [
     "load_controller",
     "normals",
     "path_keys",
+    "read_csv",
     "read_network",
     "read_policy",
     "read_table",
@@ -187,6 +189,8 @@ class Dynamics:
     momentum_matrix: Array
     momentum: Array
     centroidal_inertia: Array
+
+    __repr__ = brief
 
 
 class Measurement(NamedTuple):
@@ -315,6 +319,8 @@ class ContactTick:
     jacobian: Array
     velocity_product: Array
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class Estimates:
@@ -335,6 +341,8 @@ class Estimates:
     thrust_rate: Array
     wind: Array
     wind_std: Array
+
+    __repr__ = brief
 
 
 class Residual(NamedTuple):
@@ -449,6 +457,8 @@ class Tick:
     setpoint: Setpoint
     estimates: Estimates
     contact: ContactTick | None = None
+
+    __repr__ = brief
 
 
 class Controller:
@@ -808,6 +818,14 @@ class Flight:
         return self.result()
 
 
+class _Table(Config):
+    """A configuration that is shown in a line for each of its tables."""
+
+    def __repr__(self) -> str:
+        lines = (f"{key}: {value}" for key, value in self.items())
+        return "\n".join(line if len(line) <= 100 else f"{line[:99]}…" for line in lines)
+
+
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
     """Read a flight configuration, merge its base files, apply overrides, and check it.
 
@@ -825,7 +843,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     ConfigError
         If a file or value is invalid; it has file, key, value, what was expected and suggestions as attributes.
     """
-    return _parsed(_core.load_config(find("experiments", path), _changes(overrides or {})))
+    return _Table(_parsed(_core.load_config(find("experiments", path), _changes(overrides or {}))))
 
 
 def check_config(config: Mapping[str, Any]) -> None:
@@ -867,6 +885,59 @@ def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any nonzero length."""
     found: Array = spatial.rotation_from_wxyz(np.asarray(wxyz, dtype=np.float64))
     return found
+
+
+class Csv(NamedTuple):
+    """Columns of a table in text.
+
+    Attributes
+    ----------
+    header
+        Names of all its columns.
+    numbers, texts
+        Columns that were asked for and are there, by name.
+    lines
+        Line on which every row stands.
+    """
+
+    header: list[str]
+    numbers: dict[str, Array]
+    texts: dict[str, list[str]]
+    lines: NDArray[np.int64]
+
+
+def read_csv(content: bytes | str, file: str, columns: Mapping[str, str], key: str = "") -> Csv:
+    """Read columns of a table in text: the one dialect of all tables, which `docs/conventions.md` states.
+
+    Parameters
+    ----------
+    content
+        The table.
+    file
+        Its name in refusals.
+    columns
+        Kind of every column: `number`, which is finite; `reading`, which may be missing (NaN), in some cells or as a
+        whole; `signal`, a reading that may be infinite; or `text`.
+    key
+        A name that its header has, by default that of the first column; by it the separator is known.
+
+    Raises
+    ------
+    ConfigError
+        Naming file, line, column, value and what was expected.
+    """
+    key, pairs = key or next(iter(columns)), list(columns.items())
+    header, numbers, texts, lines = _core.read_csv(
+        content.encode() if isinstance(content, str) else content, file, key, pairs
+    )
+    named = [name for name, kind in pairs if kind == "text"]
+    measured = [name for name, kind in pairs if kind != "text" and name in header]
+    return Csv(
+        header,
+        dict(zip(measured, numbers.T, strict=True)),
+        {name: texts[place :: len(named)] for place, name in enumerate(named)},
+        lines,
+    )
 
 
 def read_toml(path: str | PathLike[str]) -> Config:

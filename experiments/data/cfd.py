@@ -5,24 +5,21 @@ The solver's table is a CSV: posture, angles, and drag, lift and side area of th
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from experiments.data.ironcub import JOINTS, LINKS
+from jax_aero import rust
 from jax_aero.aero.dataset import (
     MIRROR_AXES,
     Dataset,
     Floats,
     mirrored_areas,
     mirrored_joints,
-    number,
     tunnel_from_base,
     wind_direction,
 )
@@ -76,26 +73,15 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
     """
     if text.startswith("version https://git-lfs"):
         raise ValueError(f"{source} is a Git LFS pointer, not the table; fetch it with: git lfs pull")
-    reader = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")))
-    expected = [
-        "config",
+    columns = [
         "pitchAngle",
         "yawAngle",
         *(f"{part}-{name}" for part in (TOTAL, *SURFACES) for name in COMPONENTS),
     ]
-    found = reader.fieldnames or []
-    if missing := [column for column in expected if column not in found]:
-        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise ValueError(
-            f"{source}, line 1: column `{missing[0]}`{more} missing; expected {', '.join(expected[:6])}, …"
-        )
-    names, rows, lines = [], [], []
-    for row in reader:
-        place = f"{source}, line {reader.line_num}"
-        rows.append([number(row[column], place, column) for column in expected[1:]])
-        _check_angles(rows[-1], place)
-        names.append(row["config"])
-        lines.append(reader.line_num)
+    found = rust.read_csv(text, source, {"config": "text", **dict.fromkeys(columns, "number")})
+    names, lines, values = found.texts["config"], found.lines, np.column_stack(list(found.numbers.values()))
+    for row, line in zip(values, lines, strict=True):
+        _check_angles(row, f"{source}, line {line}")
     if unknown := Counter(name for name in names if name not in postures):
         place = f"{source}, line {next(line for line, name in zip(lines, names, strict=True) if name in unknown)}"
         rows_of = ", ".join(f"`{name}` ({count} row{'s'[: count > 1]})" for name, count in unknown.items())
@@ -103,11 +89,10 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
             f"{place}, column `config`: no joint angles are known for {rows_of}; expected one of "
             f"{', '.join(postures)}, or a file of joint angles that has it"
         )
-    if not rows:
+    if not names:
         raise ValueError(f"{source} has no rows; expected one per posture and wind direction")
-    values = np.array(rows)
     pitch, yaw = values[:, 0], values[:, 1]
-    areas_w = values[:, 2:].reshape(len(rows), 1 + len(SURFACES), 3)
+    areas_w = values[:, 2:].reshape(len(names), 1 + len(SURFACES), 3)
     sum_error = np.abs(areas_w[:, 1:].sum(axis=1) - areas_w[:, 0]).max(axis=1)
     worst = int(sum_error.argmax())
     if sum_error[worst] > LARGEST_SUM_ERROR:
@@ -117,15 +102,15 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
         )
     dataset = Dataset(
         posture=np.array(names),
-        is_mirrored=np.zeros(len(rows), dtype=bool),
+        is_mirrored=np.zeros(len(names), dtype=bool),
         joint_position_deg=np.stack([postures[name] for name in names]),
         wind_b=wind_direction(pitch, yaw),
         pitch_deg=pitch,
         yaw_deg=yaw,
         # f_b = R^T f_t with (drag, side, lift) as (x, y, z) of the tunnel frame.
         force_area_b=np.einsum("nji,nlj->nli", tunnel_from_base(pitch, yaw), areas_w[:, 1:]),
-        speed=np.full(len(rows), SPEED),
-        air_density=np.full(len(rows), AIR_DENSITY),
+        speed=np.full(len(names), SPEED),
+        air_density=np.full(len(names), AIR_DENSITY),
         joints=JOINTS,
         links=LINKS,
         provenance={
@@ -168,7 +153,7 @@ def checks(dataset: Dataset) -> dict[str, float]:
     return found
 
 
-def _check_angles(row: Sequence[Any], place: str) -> None:
+def _check_angles(row: Floats, place: str) -> None:
     for column, value, low, high in (("pitchAngle", row[0], 0.0, 180.0), ("yawAngle", row[1], -180.0, 180.0)):
         if not low <= value <= high:
             raise ValueError(f"{place}, column `{column}`: {value:g}; expected {low:g} to {high:g} degrees")

@@ -9,7 +9,6 @@ digest of what was read.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.data.import_cfd import OUT, git_show, read_table
+from jax_aero import rust
 from jax_aero.aero.dataset import Floats
 from jax_aero.base.files import write_netcdf
 from jax_aero.base.netcdf import open_dataset
@@ -79,11 +79,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def from_clone(clone: Path, log: str) -> str:
     """Return the control unit's log from the history of a clone, as a table; rows of a wrong checksum are left out."""
-    rows = csv.DictReader(git_show(clone, COMMIT, log, "JetCat_Comms").splitlines())
+    kinds = {**dict.fromkeys(UNIT_COLUMNS, "text"), "CRC16_Given": "text", "CRC16_Calculated": "text"}
+    rows = rust.read_csv(git_show(clone, COMMIT, log, "JetCat_Comms"), log, kinds).texts
     lines = [f"time_s,{','.join(UNIT_COLUMNS.values())}"]
-    for number, row in enumerate(rows):
-        if row.get("CRC16_Given") is not None and row["CRC16_Given"] == row.get("CRC16_Calculated"):
-            lines.append(",".join([repr(number / UNIT_RATE), *(row[name] for name in UNIT_COLUMNS)]))
+    for number, (*cells, given, calculated) in enumerate(zip(*rows.values(), strict=True)):
+        if given == calculated:
+            lines.append(",".join([repr(number / UNIT_RATE), *cells]))
     return "\n".join(lines)
 
 
@@ -95,33 +96,21 @@ def read_bench(text: str, name: str) -> Bench:
     Refused
         For no known column, a cell that is no number, and times that do not ascend; the message names the line.
     """
-    rows = csv.DictReader(text.splitlines())
-    known = [column for column in COLUMNS if column in (rows.fieldnames or ())]
-    if "time_s" not in (rows.fieldnames or ()) or not known:
-        raise Refused(f"{name} has the columns {rows.fieldnames}; expected time_s and any of {', '.join(COLUMNS)}")
-    values: list[list[float]] = []
-    for number, row in enumerate(rows, start=2):
-        cells = {key: _number(row.get(key), f"{name}, line {number}, column `{key}`") for key in ("time_s", *known)}
-        if not cells["time_s"] > (values[-1][0] if values else -np.inf):
-            raise Refused(f"{name}, line {number}, column `time_s`: {row['time_s']!r}; expected ascending times")
-        if row.get("clipped", "0") not in ("0", ""):
-            cells["thrust_n"] = np.nan
-        values.append([cells["time_s"], *(cells.get(column, np.nan) for column in COLUMNS)])
-    if len(values) < 2:
-        raise Refused(f"{name} has {len(values)} rows; expected 2 or more")
-    return Bench(*np.array(values).T)
-
-
-def _number(text: str | None, place: str) -> float:
-    """Return the number of a cell, NaN of an empty one."""
-    if text is None or not text.strip():
-        return np.nan
-    try:
-        if np.isfinite(number := float(text)):
-            return number
-    except ValueError:
-        pass
-    raise Refused(f"{place}: {text!r}; expected a finite number, or nothing")
+    found = rust.read_csv(text, name, {"time_s": "number", **dict.fromkeys((*COLUMNS, "clipped"), "reading")})
+    nothing = np.full(len(found.lines), np.nan)
+    time, *readings = (found.numbers.get(column, nothing) for column in ("time_s", *COLUMNS))
+    if not found.numbers.keys() & {*COLUMNS}:
+        raise Refused(
+            f"{name} has the columns {', '.join(found.header)}; expected time_s and any of {', '.join(COLUMNS)}"
+        )
+    if (is_late := np.diff(time) <= 0.0).any():
+        row = 1 + int(is_late.argmax())
+        raise Refused(f"column time_s in line {found.lines[row]} of {name} is {time[row]}; expected ascending times")
+    if len(time) < 2:
+        raise Refused(f"{name} has {len(time)} rows; expected 2 or more")
+    is_clipped = np.nan_to_num(found.numbers.get("clipped", nothing)) != 0.0
+    throttle, wanted, speed, thrust = readings
+    return Bench(time, throttle, wanted, speed, np.where(is_clipped, np.nan, thrust))
 
 
 def measured(bench: Bench) -> list[str]:

@@ -19,6 +19,7 @@ from experiments import Refused
 from experiments.data import tunnel
 from experiments.data.import_cfd import OUT
 from experiments.data.import_tunnel import files_by_test, folders, known_tests
+from jax_aero import rust
 from jax_aero.aero.dataset import Floats, number
 from jax_aero.base import places, tables
 from jax_aero.base.files import read_bytes, write_netcdf
@@ -74,11 +75,8 @@ def from_clone(clone: Path) -> Iterator[tuple[str, xr.Dataset]]:
 
 def read_map(text: str, source: str) -> dict[int, str]:
     """Return the tap of every port of the scanners."""
-    found = {}
-    for place, line in enumerate(text.splitlines()[1:] if text.startswith("Scanner ID") else [], start=2):
-        port, _, tap = line.partition(";")
-        if line.strip():
-            found[int(number(port, f"{source}, line {place}", "Scanner ID"))] = tap
+    table = rust.read_csv(text, source, {"Scanner ID": "number", "Sensor ID": "text"})
+    found = dict(zip(map(int, table.numbers["Scanner ID"]), table.texts["Sensor ID"], strict=True))
     if not found:
         raise ValueError(f"{source}: no map of ports; expected `Scanner ID;Sensor ID` and rows such as 101;I1")
     return found

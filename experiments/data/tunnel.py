@@ -8,8 +8,6 @@ backward. Base (`root_link`) axes are x backward, y right, z up. Equations M28 a
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from experiments.data.ironcub import JOINTS
+from jax_aero import rust
 from jax_aero.aero.dataset import Floats, number
 
 GVP_COLUMNS = 86
@@ -209,41 +208,31 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
 
     Columns: campaign, test, point, V, q, rho, T_K, alpha, beta, F*_bal_N, M*_bal_Nm, sdF*, sdM*, zrF*, zrM*.
     """
-    reader = csv.DictReader(io.StringIO(text))
     balance = [f"{name}_bal_{'N' if name[0] == 'F' else 'Nm'}" for name in COMPONENTS]
+    deviations, zeros = ([f"{letters}{name}" for name in COMPONENTS] for letters in ("sd", "zr"))
     plain = ("V", "q", "rho", "T_K", "alpha", "beta")
-    wanted = [
-        "campaign",
-        "test",
-        "point",
-        *plain,
-        *balance,
-        *(f"{p}{name}" for p in ("sd", "zr") for name in COMPONENTS),
-    ]
-    if missing := [name for name in wanted if name not in (reader.fieldnames or [])]:
-        raise ValueError(f"{source}: no column {', '.join(missing)}")
-    rows = [(f"{source}, line {reader.line_num}", row) for row in reader]
-    if not rows:
+    kinds = {"campaign": "text", "test": "text", **dict.fromkeys(("point", *plain, *balance, *deviations), "number")}
+    # Only the last reading without wind may be missing.
+    found = rust.read_csv(text, source, {**kinds, **dict.fromkeys(zeros, "reading")})
+    if not len(found.lines):
         raise ValueError(f"{source}: no rows")
-    names, about, points = [], [], []
-    for place, row in rows:
-        if cut := next((column for column in wanted if row[column] is None), None):
-            raise ValueError(f"{place}, column `{cut}`: the line ends before it; expected a value")
-        campaign, test = row["campaign"].lower(), row["test"].upper()
-        if (campaign, test) not in tests:
-            raise ValueError(f"{place}: test {test} of {campaign} is not in the table of tests")
-        names.append(test)
-        about.append(tests[campaign, test])
+    names, about = [], []
+    for line, campaign, test in zip(found.lines, *found.texts.values(), strict=True):
+        place, key = f"{source}, line {line}", (campaign.lower(), test.upper())
+        if key not in tests:
+            raise ValueError(f"{place}: test {key[1]} of {key[0]} is not in the table of tests")
+        names.append(key[1])
+        about.append(tests[key])
         if about[-1].robot != about[0].robot:
-            raise ValueError(f"{place}: test {test} is of {about[-1].robot}; expected {about[0].robot}, as before it")
-        point = number(row["point"], place, "point")
-        if not point.is_integer():
-            raise ValueError(f"{place}, column `point`: {row['point']!r}; expected an integer")
-        points.append(int(point))
+            raise ValueError(f"{place}: test {key[1]} is of {about[-1].robot}; expected {about[0].robot}, as before it")
+    points = found.numbers["point"].astype(int).tolist()
+    if (is_part := found.numbers["point"] % 1.0 != 0.0).any():
+        row = int(is_part.argmax())
+        value = found.numbers["point"][row]
+        raise ValueError(f"column point in line {found.lines[row]} of {source} is {value}; expected an integer")
 
     def numbers(columns: Iterable[str]) -> Floats:
-        columns = list(columns)
-        return np.array([[_cell(row[column], column, place) for column in columns] for place, row in rows])
+        return np.column_stack([found.numbers.get(column, np.full(len(names), np.nan)) for column in columns])
 
     speed, q, rho, temperature, pitch, yaw = numbers(plain).T
     return Points(
@@ -261,14 +250,9 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
         air_density=rho,
         temperature=temperature,
         load=numbers(balance),
-        deviation=numbers(f"sd{name}" for name in COMPONENTS),
-        zero_return=numbers(f"zr{name}" for name in COMPONENTS),
+        deviation=numbers(deviations),
+        zero_return=numbers(zeros),
     )
-
-
-def _cell(text: str, column: str, place: str) -> float:
-    # Only the last reading without wind may be missing.
-    return np.nan if column.startswith("zr") and text.lower() == "nan" else number(text, place, column)
 
 
 def join(parts: Sequence[Points]) -> Points:

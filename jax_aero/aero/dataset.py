@@ -11,7 +11,6 @@ Equation M28 of `docs/model`.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,8 +24,9 @@ import numpy.typing as npt
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
+from jax_aero import rust
 from jax_aero.base import netcdf
-from jax_aero.base.files import write_netcdf
+from jax_aero.base.files import read_bytes, write_netcdf
 from jax_aero.body.mirror import ODD_JOINTS, opposite_indices
 from jax_aero.body.robot import RobotModel
 
@@ -341,18 +341,13 @@ def read_postures(path: str | PathLike[str], joints: Sequence[str]) -> dict[str,
     ValueError
         If a value is invalid; the message names file, line, column and value.
     """
-    with Path(path).open(newline="", encoding="utf-8-sig") as stream:
-        reader = csv.DictReader(stream)
-        columns = ["name", *(f"{joint}_deg" for joint in joints)]
-        if missing := [column for column in columns if column not in (reader.fieldnames or [])]:
-            raise ValueError(f"{path}: column {', '.join(missing)} is missing; expected name and one angle per joint")
-        postures = {}
-        for row in reader:
-            place = f"{path}, line {reader.line_num}"
-            if row["name"] in postures:
-                raise ValueError(f"{place}: posture `{row['name']}` stands there twice")
-            postures[row["name"]] = np.array([number(row[c], place, c) for c in columns[1:]])
-    return postures
+    columns = {"name": "text", **{f"{joint}_deg": "number" for joint in joints}}
+    found = rust.read_csv(read_bytes(Path(path)), str(path), columns)
+    names, angles = found.texts["name"], np.column_stack(list(found.numbers.values()))
+    for row, name in enumerate(names):
+        if name in names[:row]:
+            raise ValueError(f"line {found.lines[row]} of {path}: posture `{name}` stands there twice")
+    return dict(zip(names, angles, strict=True))
 
 
 def number(text: str | None, place: str, column: str) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,8 @@ Outcome = Literal["completed", "off_course", "landed", "landing", "crashed", "fe
 UPRIGHT: tuple[Outcome, ...] = ("completed", "landed")
 """Outcomes of a flight that completes its mission or touches down within the limits of a landing."""
 
-LOST: tuple[Outcome, ...] = tuple(outcome for outcome in get_args(Outcome) if outcome not in UPRIGHT)
-"""Outcomes of a flight that is lost: all others."""
+LOST: tuple[Outcome, ...] = ("crashed", "fell", "diverged")
+"""Outcomes of a flight that is lost."""
 
 
 def ending(outcome: str, lost_time: float | None, lost_reason: str | None) -> str:
@@ -34,6 +34,21 @@ def ending(outcome: str, lost_time: float | None, lost_reason: str | None) -> st
     if lost_time is None or math.isnan(lost_time):
         return words
     return f"{words} at {lost_time:.1f} s" + (f" ({lost_reason})" if lost_reason else "")
+
+
+def brief(thing: Any) -> str:
+    """Return an object of a dataclass in a few lines: arrays by their shape, mappings by their size."""
+
+    def part(value: Any) -> str:
+        if isinstance(value, np.ndarray):
+            return f"array {value.shape}"
+        if isinstance(value, Mapping):
+            return f"{len(value)} by name"
+        text = repr(value)
+        return text if len(text) <= 100 else f"{type(value).__name__} …"
+
+    lines = [f"  {name}: {part(value)}" for name, value in vars(thing).items()]
+    return "\n".join([type(thing).__name__, *lines])
 
 
 @dataclass(frozen=True)
@@ -62,6 +77,11 @@ class FlightResult:
     lost_time: float | None
     lost_reason: str | None
     summary: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        words, time = ending(self.outcome, self.lost_time, self.lost_reason), self.log.get("time")
+        held = "no log" if time is None else f"{len(self.log)} signals of {len(time)} ticks, to {time[-1]:g} s"
+        return f"<FlightResult {words}: {held}>"
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         if signal not in self.log:

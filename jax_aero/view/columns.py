@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import shlex
 from array import array
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,15 +24,6 @@ Array = NDArray[np.float64]
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of an MCAP file."""
 
-EMPTY = ("", "na", "n/a", "nan", "null", "none")
-"""Cells of a table where nothing was measured."""
-
-MAX_LINE = 1 << 22
-"""Greatest length of a line of a table [letters]."""
-
-SEPARATORS = ",;\t"
-"""Separators of columns; after the comma, in that order, those of tables with decimal commas."""
-
 
 class Series(NamedTuple):
     """Rows of a signal, or of an entry of it, with their times [s]."""
@@ -51,43 +40,16 @@ def read_csv(
     `time` is the name of the column of times, and `scale` their factor to seconds.
     Where most rows of a log of others have empty cells, each source wrote its own: a column has those that it fills.
     """
-    content = read_bytes(path)
-    try:
-        # The separator by which the header has the column of times.
-        headers = ((mark, next(_rows(path, content, mark), (0, []))[1]) for mark in SEPARATORS)
-        separator = next((mark for mark, header in headers if time in header), ",")
-        numbered = _rows(path, content, separator)
-        header = next(numbered, (0, []))[1]
-        if time not in header:
-            raise Refused(f"`{path}` has no column `{time}` of times{did_you_mean(time, header)}")
-        places = [place for place, word in enumerate(header) if word in wanted or word == time]
-        numbers = array("d")
-        for line, cells in numbered:
-            if len(cells) != len(header):
-                is_split = separator == "," and len(cells) > len(header)
-                hint = "; with decimal commas, `;` between them" if is_split else ""
-                what = f"line {line} of `{path}` has {len(cells)} cells"
-                raise Refused(f"{what}; expected {len(header)}, as its header{hint}")
-            for place in places:
-                number = _number(cells[place], separator)
-                if number is None:
-                    what = f"line {line} of `{path}`: column `{header[place]}` is `{cells[place]}`"
-                    raise Refused(f"{what}; expected a number")
-                numbers.append(number)
-    except UnicodeDecodeError:
-        raise Refused(f"`{path}` is no text in UTF-8; expected a table with a header") from None
-    except csv.Error as reason:
-        raise Refused(f"`{path}` is no table of numbers with a header ({reason})") from None
-    table = np.reshape(numbers, (-1, len(places)))
-    times = table[:, places.index(header.index(time))]
+    found = rust.read_csv(read_bytes(path), f"`{path}`", {time: "signal", **dict.fromkeys(wanted, "signal")})
+    header, times = found.header, found.numbers[time]
+    table = np.column_stack(list(found.numbers.values()))
     times = (times - times[:1]) * scale  # which would be rounded coarsely if they began in 1970
     is_filled = ~np.isnan(table)
     is_sparse = not is_ours and 2 * is_filled[:, is_filled.any(axis=0)].all(axis=1).sum() < len(table)
-    found = {}
-    for column, place in enumerate(places):
-        own = is_filled[:, column] if is_sparse else slice(None)
-        found[header[place]] = Series(times[own], table[own, column])
-    return found, header
+    rows = [is_filled[:, column] if is_sparse else slice(None) for column in range(table.shape[1])]
+    return {
+        name: Series(times[own], found.numbers[name][own]) for name, own in zip(found.numbers, rows, strict=True)
+    }, header
 
 
 def read_parquet(
@@ -115,41 +77,21 @@ TABLES = {".csv": read_csv, ".parquet": read_parquet}
 """Readers of tables, by suffix."""
 
 
-def _rows(path: Path, content: bytes, separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the cells of every row that is not empty, with the number of its line."""
-    text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline="")
-    reader = csv.reader(_bounded_lines(path, text), delimiter=separator)
-    for row in reader:
-        cells = [cell.strip() for cell in row]
-        if any(cells):
-            yield reader.line_num, cells
+def read_mcap(
+    path: Path, stamps: Mapping[str, float] | None = None, *, is_ours: bool
+) -> tuple[dict[str, Series], rust.Config | None, Collection[str]]:
+    """Return the numbers in the JSON messages of an MCAP file, and the configuration if `jax-aero export` wrote it.
 
-
-def _bounded_lines(path: Path, text: Iterable[str]) -> Iterator[str]:
-    for line in text:
-        if len(line) > MAX_LINE:
-            raise Refused(f"`{path}` has a line of {len(line)} letters; expected at most {MAX_LINE}")
-        yield line
-
-
-def _number(cell: str, separator: str) -> float | None:
-    """Return the number of a cell; a comma that does not separate is decimal, and no number is `None`."""
-    if cell.lower() in EMPTY:
-        return np.nan
-    try:
-        return float(cell if separator == "," else cell.replace(",", "."))
-    except ValueError:
-        return None
-
-
-def read_mcap(path: Path, *, is_ours: bool) -> tuple[dict[str, Series], rust.Config | None]:
-    """Return the numbers in the JSON messages of an MCAP file, and the configuration if `jax-aero export` wrote it."""
+    The time of a message is that of its recording, or of its number named in `stamps`, with the factor to seconds; the
+    topics of messages without any are returned too.
+    """
     require(["mcap"], f"reading `{path}`", "logs")
     from mcap.records import Channel, Message, Metadata
 
     _check_whole(path)
     topics = {f"/signals/{name}" for name in rust.signals()}
     found: dict[str, tuple[array[int], array[float]]] = {}
+    unstamped: set[str] = set()
     channels: dict[int, Channel] = {}
     config, others, size = None, set(), 0
     try:
@@ -165,29 +107,44 @@ def read_mcap(path: Path, *, is_ours: bool) -> tuple[dict[str, Series], rust.Con
                 if channel.message_encoding != "json":
                     others.add(channel.message_encoding)
                     continue
-                for name, number in _flatten(parse_json(record.data), channel.topic):
+                numbers = dict(_flatten(parse_json(record.data), channel.topic))
+                time = next(_stamps(numbers, stamps), None) if stamps else record.log_time
+                if time is None:
+                    unstamped.add(channel.topic)
+                    continue
+                for name, number in numbers.items():
                     if name not in found:
-                        found[name] = array("Q"), array("d")
+                        found[name] = array("q"), array("d")
                         size += 500 + len(name)
-                    found[name][0].append(record.log_time)
+                    found[name][0].append(time)
                     found[name][1].append(number)
                     size += 16
                 sizes.expect("bytes of numbers", size, sizes.MAX_NUMBERS)
     except Exception as reason:  # the package raises many types for damaged files
         what = f"({type(reason).__name__}: {reason})"
         raise Refused(f"`{path}` is damaged {what}; {_recovery(path)}") from None
-    if not found:
+    if not found and not unstamped:
         held = f", but in {', '.join(sorted(others))}" if others else ""
         raise Refused(f"`{path}` has no message in JSON{held}; expected those of `jax-aero export`, or others in JSON")
-    start = min(min(stamps) for stamps, _ in found.values())
-    return {name: _in_order(stamps, numbers, start) for name, (stamps, numbers) in found.items()}, config
+    start = min((min(times) for times, _ in found.values()), default=0)
+    return {name: _in_order(times, numbers, start) for name, (times, numbers) in found.items()}, config, unstamped
+
+
+def _stamps(numbers: Mapping[str, float], stamps: Mapping[str, float]) -> Iterator[int]:
+    """Yield the times that a message states [ns], which would be rounded coarsely in seconds since 1970."""
+    for name, scale in stamps.items():
+        whole, part = (numbers.get(f"{name}/{unit}") for unit in ("sec", "nanosec"))
+        if name in numbers:
+            yield round(numbers[name] * scale * 1e9)
+        elif whole is not None and part is not None:
+            yield int(whole) * 10**9 + int(part)
 
 
 def _in_order(stamps: array[int], numbers: array[float], start: int) -> Series:
     """Return a series from the stamps of messages [ns], in the order of their times."""
-    times = np.asarray(stamps, np.uint64)
+    times = np.asarray(stamps, np.int64)
     order = np.argsort(times, kind="stable")
-    return Series((times[order] - np.uint64(start)).astype(np.float64) * 1e-9, np.asarray(numbers)[order])
+    return Series((times[order] - start).astype(np.float64) * 1e-9, np.asarray(numbers)[order])
 
 
 def _records(path: Path) -> Iterator[Any]:

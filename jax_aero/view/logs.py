@@ -7,8 +7,9 @@ A mapping file is TOML: a table for each signal (`rust.signals`) that the log ho
     raw_base_position  = { columns = ["px", "py", "pz"] }
     raw_base_quaternion = { columns = ["qw", "qx", "qy", "qz"] }                  # in place of raw_base_rotation
 
-Columns of an MCAP file are the numbers of its JSON messages, such as `/topic/field/0`, with the times of its topic;
-those of a MATLAB file are named in `jax_aero.view.matlab`.
+Columns of an MCAP file are the numbers of its JSON messages, such as `/topic/field/0`, with the times of recording or,
+with `time = { columns = ["/joints/stamp", "/base/stamp"] }`, those that the messages of each topic state, also as `sec`
+and `nanosec`. Those of a MATLAB file are named in `jax_aero.view.matlab`, and have its times.
 """
 
 from __future__ import annotations
@@ -55,6 +56,9 @@ HELD = 1.5
 
 LATE = 10
 """Number of rows within which a late row is followed by early ones; otherwise rows were lost."""
+
+FEW = 5
+"""Number of rows over which a first guess of their period is taken, among which few have a lost one."""
 
 LONGEST_GAP = 60.0
 """Longest time between two rows of one flight [s]."""
@@ -132,24 +136,36 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     sources = {} if mapping is None else _load_mapping(mapping)
     columns: dict[str, Series] = {}
     own: rust.Config | None = None
+    time = sources.get("time", Source(columns="time"))
+    stamps = (time.columns,) if isinstance(time.columns, str) else time.columns
+    unstamped: Collection[str] = ()
     if path.suffix == ".mcap":
-        columns, own = read_mcap(path, is_ours=mapping is None)
+        given = dict.fromkeys(stamps, time.scale) if "time" in sources else {}
+        columns, own, unstamped = read_mcap(path, given, is_ours=mapping is None)
     elif path.suffix == ".mat":
+        if "time" in sources:
+            raise ConfigError.of("time", list(stamps), "none, as a MATLAB file has its own times").in_file(str(mapping))
         held, facts = read_mat(path)
         columns, own = {name: Series(*series) for name, series in held.items()}, facts.get("config")
     if config is None and own is None:
         raise Refused(f"`{path}` holds no configuration of a flight; expected --experiment NAME")
     robot = rust.Robot(robot_file or (config or own or {})["robot"])
+    if path.suffix == ".mcap":
+        sources.pop("time", None)
     named = _own_columns(robot, path.suffix) if mapping is None else _mapped_columns(sources, robot, mapping)
     header: Collection[str] = columns
     if path.suffix in TABLES:
-        time, wanted = sources.get("time", Source(columns="time")), {name for names in named.values() for name in names}
-        stamp = time.columns if isinstance(time.columns, str) else next(iter(time.columns), "")
-        columns, header = TABLES[path.suffix](path, stamp, time.scale, wanted, is_ours=mapping is None)
+        wanted = {name for names in named.values() for name in names}
+        if len(stamps) != 1:
+            raise ConfigError.of("time.columns", list(stamps), "one name").in_file(str(mapping))
+        columns, header = TABLES[path.suffix](path, stamps[0], time.scale, wanted, is_ours=mapping is None)
     signals = {}
     for signal, names in named.items():
         absent = [name for name in names if name not in columns]
         if absent and mapping is not None:
+            if any(absent[0].startswith(f"{topic}/") for topic in unstamped):
+                expected = f"one of each topic, also of that of `{absent[0]}`"
+                raise ConfigError.of("time.columns", list(stamps), expected).in_file(mapping.name)
             raise Refused(f"{mapping.name}: `{path}` has no column `{absent[0]}`{did_you_mean(absent[0], header)}")
         if not absent:
             signals[signal] = [_in_our_units(columns[name], sources.get(signal), name, path) for name in names]
@@ -264,14 +280,18 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
         raise Refused(f"`{path}` has no {names}; expected what a tick is given")
     stamps = log.signals["raw_joint_position"][0].times
     rows = _check_times(stamps, path)
-    begin = max(_first_time(one, name, path) for name in needed for one in log.signals[name])
+    spans = [(*_span(one, name, path), name) for name in needed for one in log.signals[name]]
+    (begin, last, late), (first, end, early) = max(spans), min(spans, key=lambda span: span[1])
+    if begin > end:
+        what = f"`{early}` ({first:g} to {end:g} s) and `{late}` ({begin:g} to {last:g} s)"
+        raise Refused(f"{what} of `{path}` do not overlap; expected times of one clock")
     rows = rows[rows >= min(begin, rows[-1])]
     most = LATE * rows.size + int(LONGEST_GAP / period)
     if (rows[-1] - rows[0]) / period > most:
         raise Refused(
             f"`{path}` has {rows.size} rows in {rows[-1] - rows[0]:g} s; expected one in most of {period:g} s"
         )
-    typical = _typical_step(rows)
+    typical = _fitted_step(rows)
     if is_denser := typical < (1.0 - PERIOD_TOLERANCE) * period:
         ticks = rows[0] + period * np.arange(int((rows[-1] - rows[0] + ROUNDING) / period) + 1)
         is_lost = np.zeros(ticks.size, dtype=np.bool_)
@@ -319,19 +339,23 @@ def _check_times(times: Array, path: Path) -> Array:
     if (doubled := np.flatnonzero(steps == 0.0)).size:
         more = f", and {doubled.size - 1} more do so" if doubled.size > 1 else ""
         what = f"row {doubled[0] + 2} of `{path}` repeats the time of the row before, {times[doubled[0]]:g} s{more}"
+        if 2 * doubled.size > times.size:
+            expected = "times of measurement, which `time = { columns = … }` of --map may name"
+            raise Refused(f"{what}, as times of recording in bursts; expected {expected}")
         warnings.warn(f"{what}; the later one is used", stacklevel=3)
     later: Array = times[np.append(steps > 0.0, True)]
     return later
 
 
-def _first_time(series: Series, name: str, path: Path) -> float:
-    """Return the time of the first row with a number [s]."""
+def _span(series: Series, name: str, path: Path) -> tuple[float, float]:
+    """Return the times of the first and the last row with a number [s]."""
     is_measured = ~np.isnan(series.rows.reshape(len(series.times), -1)).any(axis=1)
     if not is_measured.any():
         raise Refused(f"`{path}` has no number of `{name}`, without which no flight begins")
     if np.any(np.diff(series.times) < 0.0):
         raise Refused(f"the times of `{name}` in `{path}` decrease; expected times that increase")
-    return float(series.times[is_measured.argmax()])
+    times = series.times[is_measured]
+    return float(times[0]), float(times[-1])
 
 
 def _typical_step(times: Array) -> float:
@@ -339,14 +363,27 @@ def _typical_step(times: Array) -> float:
     return float(np.median(np.diff(times))) if times.size > 1 else np.inf
 
 
+def _fitted_step(times: Array) -> float:
+    """Return the time from row to row [s] between the first and the last one, in which lost rows count."""
+    if times.size < 2:
+        return np.inf
+    few = min(FEW, times.size - 1)
+    rough = float(np.median(times[few:] - times[:-few])) / few
+    return float(times[-1] - times[0]) / (_add_lost(times, rough)[0].size - 1)
+
+
 def _add_lost(rows: Array, period: float) -> tuple[Array, NDArray[np.bool_]]:
     """Return the times of rows, with those of lost ones in between, and which ones were lost.
 
-    As many were lost before a row as it and the next `LATE` rows are later, in periods, than the row before it.
+    As many were lost before a row as it and the next `LATE` rows are later, in periods, than the row before it; of the
+    last rows, which have fewer after them, than all of those before it.
     """
     late = (rows - rows[0]) / period - np.arange(rows.size)
-    after = np.lib.stride_tricks.sliding_window_view(np.pad(late[1:], (0, LATE), constant_values=np.inf), LATE + 1)
-    lost = np.append(np.maximum(np.rint(after.min(axis=1) - late[:-1]), 0.0).astype(int), 0)
+    windows = np.lib.stride_tricks.sliding_window_view
+    after = windows(np.pad(late[1:], (0, LATE), constant_values=np.inf), LATE + 1).min(axis=1)
+    before = late[:-1].copy()
+    before[-LATE:] = windows(np.pad(before, (LATE, 0), constant_values=-np.inf), LATE + 1).max(axis=1)[-LATE:]
+    lost = np.append(np.maximum(np.rint(after - before), 0.0).astype(int), 0)
     steps = np.append(np.diff(rows), 0.0) / (lost + 1)
     row = np.repeat(np.arange(rows.size), lost + 1)
     number = np.arange(row.size) - np.searchsorted(row, row)

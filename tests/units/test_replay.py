@@ -102,7 +102,7 @@ def test_what_a_robot_measured_is_viewed_and_written_for_viewers(result, flight,
 def test_another_controller_differs_and_is_drawn(result, tmp_path, capsys):
     plot = tmp_path / "apart.png"
     kept = tmp_path / "kept.csv"
-    status, out, _ = run(capsys, "replay", result, "--control", "baseline", "--plot", plot, "--out", kept)
+    status, out, _ = run(capsys, "replay", result, "--controller", "baseline", "--plot", plot, "--out", kept)
     assert status == 1
     assert "joint_torque" in out
     assert plot.stat().st_size > 1000
@@ -587,23 +587,27 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
     refusals = {
         ("replay", result, "--set", "controller.torque.steps=10"): "whose ticks need the joints in between",
         ("replay", result, "--map", foreign / "map.toml"): "expected it with a file of .mcap, .mat, .csv, .parquet",
-        ("replay", foreign / "log.csv", "--experiment", "test2"): "has no column `time`",
+        ("replay", foreign / "log.csv", "--experiment", "test2"): "expected a header with `time`",
         ("replay", foreign / "log.csv", "--map", foreign / "map.toml"): "expected --experiment NAME",
         ("replay", tmp_path / "empty.mcap"): "does not begin as an MCAP file",
         ("replay", tmp_path / "nothing.mcap"): "is empty; expected an MCAP file",
         ("replay", tmp_path / "nowhere.mcap"): "No such file",
         ("replay", tmp_path / "damaged.mcap"): "mcap recover",
-        ("replay", tmp_path / "text.csv", *csv): "text.csv`: column `raw_wind/x` is `b`; expected a number",
-        ("replay", tmp_path / "short.csv", *csv): "line 4 of",
+        (
+            "replay",
+            tmp_path / "text.csv",
+            *csv,
+        ): f"column raw_wind/x in line 2 of `{tmp_path}/text.csv` is b; expected a number",
+        ("replay", tmp_path / "short.csv", *csv): "number of cells in line 4 of",
         (
             "replay",
             tmp_path / "decimal.csv",
             *csv,
-        ): "has 4 cells; expected 2, as its header; with decimal commas",
-        ("replay", tmp_path / "thousands.csv", *csv): "column `raw_wind/x` is `1.000,5`",
-        ("replay", tmp_path / "letter.csv", *csv): "has no column `time`",
-        ("replay", tmp_path / "empty.csv", *csv): "has no column `time`",
-        ("replay", tmp_path / "latin.csv", *csv): "is no text in UTF-8",
+        ): "is 4; expected 2, as its header; with decimal commas",
+        ("replay", tmp_path / "thousands.csv", *csv): "is 1.000,5; expected a number",
+        ("replay", tmp_path / "letter.csv", *csv): "is a letter; expected a header with `time`",
+        ("replay", tmp_path / "empty.csv", *csv): "is empty; expected a header with `time`",
+        ("replay", tmp_path / "latin.csv", *csv): "expected text in UTF-8",
         ("replay", tmp_path / "nowhere.csv", *csv): "No such file",
         ("export", result, "--csv", "--out", tmp_path / "a.mcap"): "does not end in .csv",
         ("export", result, "--csv", "--ghost", result, "--out", tmp_path / "a.csv"): "expected --html",
@@ -745,6 +749,6 @@ def test_messages_are_in_the_order_of_their_times(tmp_path):
         for stamp in (30, 10, 20):
             writer.add_message(channel, 10**18 + stamp * 10**9, json.dumps({"n": stamp}).encode(), stamp)
         writer.finish()
-    columns, config = read_mcap(tmp_path / "log.mcap", is_ours=False)
+    columns, config, _ = read_mcap(tmp_path / "log.mcap", is_ours=False)
     assert config is None
     assert [part.tolist() for part in columns["/state/n"]] == [[0.0, 10.0, 20.0], [10.0, 20.0, 30.0]]

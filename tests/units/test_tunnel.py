@@ -157,9 +157,9 @@ def reduced_table(load) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("column", "text", "message"),
     [
-        ("q", "8;5", "t.csv, line 2, column `q`: '8;5'; expected a finite number"),
-        ("sdMx", "nan", "t.csv, line 2, column `sdMx`: 'nan'; expected a finite number"),
-        ("point", "1.5", "t.csv, line 2, column `point`: '1.5'; expected an integer"),
+        ("q", "8;5", "column q in line 2 of t.csv is 8;5; expected a finite number"),
+        ("sdMx", "nan", "column sdMx in line 2 of t.csv is nan; expected a finite number"),
+        ("point", "1.5", "column point in line 2 of t.csv is 1.5; expected an integer"),
     ],
 )
 def test_a_table_of_points_is_refused_with_line_and_column(column, text, message):
@@ -203,13 +203,9 @@ def test_a_table_of_two_robots_is_refused():
 def test_a_line_that_is_cut_is_named_whatever_is_left_of_it():
     row = reduced_table((1.0,) * 6)
     whole = ",".join(row.values())
-    for left, column in (
-        ("exp_2022_1", "test"),
-        ("exp_2022_11_03,TID_00", "point"),
-        (whole.rpartition(",")[0], "zrMz"),
-    ):
+    for left in ("exp_2022_1", "exp_2022_11_03,TID_00", whole.rpartition(",")[0]):
         text = "\n".join([",".join(row), whole, "", left])
-        with pytest.raises(ValueError, match=f"t.csv, line 4, column `{column}`: the line ends before it"):
+        with pytest.raises(ValueError, match=r"number of cells in line 4 of t\.csv is "):
             tunnel.read_reduced(text, import_tunnel.known_tests(), "t.csv")
 
 
@@ -286,7 +282,7 @@ def test_pressures_become_coefficients_of_their_taps(tmp_path):
 
 
 def test_pressures_of_other_ports_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="no map of ports"):
+    with pytest.raises(ValueError, match="expected a header with `Scanner ID`"):
         import_pressures.read_map("101;I1\n", "map.csv")
     folder = clone(tmp_path, {"TID_0003.GVP": gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)])})
     with pytest.raises(import_pressures.Refused, match="has no pressures"):

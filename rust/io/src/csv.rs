@@ -1,84 +1,202 @@
-//! Numbers in a CSV file: a header, and a line of numbers for each row. Empty lines and `#` comments are left out.
-//! Where semicolons or tabs separate the columns, a comma is decimal.
+//! The one dialect of tables in text: a header, and a row of cells for each line.
+//!
+//! Commas, semicolons or tabs separate the cells; beside the latter two a comma is decimal. Cells may stand in quotation
+//! marks (RFC 4180). Blanks around cells, empty lines, `#` comments and a byte order mark are nothing.
 
-use crate::read_text;
 use flight_core::BuildError;
-use std::path::Path;
+use std::borrow::Cow;
 
-/// Rows of numbers, with the lines on which they stand.
-#[derive(Debug)]
-pub struct Csv {
-    /// The numbers, row by row; all rows have the length of the header.
-    pub rows: Vec<Vec<f64>>,
-    /// Name of the file in errors, e.g. `wind file gust.csv`.
-    pub file: String,
-    lines: Vec<usize>,
+/// Cells in which nothing was measured, in small letters.
+const EMPTY: [&str; 6] = ["", "na", "n/a", "nan", "null", "none"];
+
+/// What the cells of a column hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A finite number.
+    Number,
+    /// A finite number, or nothing, which is NaN.
+    Reading,
+    /// Any number, or nothing, which is NaN.
+    Signal,
+    /// Any text.
+    Text,
 }
 
-impl Csv {
-    /// Reads a file, as [`Csv::parse`]; `kind` is named in errors, e.g. `wind file`.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming the file, the line and what was expected.
-    pub fn read(
-        path: &Path,
-        kind: &str,
-        header: &str,
-        accept: impl Fn(&[&str]) -> bool,
-    ) -> Result<Self, BuildError> {
-        Self::parse(&read_text(path)?, &format!("{kind} {}", path.display()), header, accept)
+impl Kind {
+    fn has(self, number: f64) -> bool {
+        number.is_finite() || self == Self::Signal || self == Self::Reading && number.is_nan()
     }
 
-    /// Parses the text of `file`, whose columns are named as `accept` decides; `header` describes them.
+    fn expected(self) -> &'static str {
+        match self {
+            Self::Number => "a finite number",
+            Self::Reading => "a finite number, or nothing",
+            Self::Signal => "a number, or nothing",
+            Self::Text => "a text",
+        }
+    }
+}
+
+/// A table whose header is read.
+#[derive(Debug)]
+pub struct Csv<'t> {
+    /// Name of every column.
+    pub names: Vec<String>,
+    /// Name of the file in errors, e.g. `wind file gust.csv`.
+    pub file: String,
+    rest: &'t str,
+    line: usize,
+    separator: u8,
+}
+
+/// The columns of a table that were asked for.
+#[derive(Debug, Default)]
+pub struct Rows {
+    /// Numbers and readings, row by row.
+    pub numbers: Vec<f64>,
+    /// Texts, row by row.
+    pub texts: Vec<String>,
+    /// Line on which each row stands, from 1.
+    pub lines: Vec<usize>,
+}
+
+impl<'t> Csv<'t> {
+    /// Reads the header of `file`: of the separators the first one whose names are accepted; `header` describes them.
     ///
     /// # Errors
-    /// [`BuildError::BadValue`] naming `file`, the line, the column and what was expected.
-    pub fn parse(
-        text: &str,
+    /// [`BuildError::BadValue`] naming `file`, the line and what was expected.
+    pub fn new(
+        text: &'t str,
         file: &str,
         header: &str,
         accept: impl Fn(&[&str]) -> bool,
     ) -> Result<Self, BuildError> {
-        let mut csv = Self { rows: Vec::new(), file: file.to_owned(), lines: Vec::new() };
-        // Spreadsheets begin a file with a byte order mark.
-        let lines = text.trim_start_matches('\u{feff}').lines().enumerate();
-        let mut lines = lines.filter(|(_, line)| {
-            let line = line.trim();
-            !line.is_empty() && !line.starts_with('#')
-        });
-        let (number, first) = lines.next().unwrap_or((0, "empty"));
-        let split = |separator| first.split(separator).map(str::trim).collect::<Vec<_>>();
-        let Some(separator) = [',', ';', '\t'].into_iter().find(|separator| accept(&split(*separator)))
-        else {
-            return Err(BuildError::bad_value(csv.line(number), first, header));
-        };
-        let names = split(separator);
-        for (number, line) in lines {
-            let fields: Vec<&str> = line.split(separator).map(str::trim).collect();
-            if fields.len() != names.len() {
-                let hint = if separator == ',' { "; with decimal commas, `;` between them" } else { "" };
-                let expected = format!("{} numbers: {}{hint}", names.len(), names.join(", "));
-                return Err(BuildError::bad_value(csv.line(number), line, expected));
+        let rest = text.trim_start_matches('\u{feff}');
+        for separator in *b",;\t" {
+            let mut csv = Self { names: Vec::new(), file: file.to_owned(), rest, line: 1, separator };
+            let Some((_, cells)) = csv.next_row()? else { break };
+            csv.names = cells.into_iter().map(Cow::into_owned).collect();
+            if accept(&csv.names.iter().map(String::as_str).collect::<Vec<_>>()) {
+                return Ok(csv);
             }
-            let mut row = Vec::with_capacity(names.len());
-            for (name, field) in names.iter().zip(fields) {
-                let parsed = if separator == ',' { field.parse() } else { field.replace(',', ".").parse() };
-                let item = || format!("column {name} in {}", csv.line(number));
-                row.push(parsed.map_err(|_| BuildError::bad_value(item(), field, "a number"))?);
-            }
-            csv.rows.push(row);
-            csv.lines.push(number);
         }
-        Ok(csv)
+        let mut lines = rest.lines().enumerate().map(|(number, line)| (number, line.trim()));
+        let first = lines.find(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+        let (number, line) = first.unwrap_or((0, "empty"));
+        Err(BuildError::bad_value(place(file, number + 1), line, header))
     }
 
-    /// Name of a row in errors.
+    /// Reads these columns of all rows.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the file, the line, the column and what was expected.
+    pub fn read(mut self, columns: &[(&str, Kind)]) -> Result<Rows, BuildError> {
+        let mut places = Vec::with_capacity(columns.len());
+        for &(name, kind) in columns {
+            let mut found = self.names.iter().enumerate().filter(|(_, other)| *other == name);
+            match (found.next(), found.next()) {
+                (Some((place, _)), None) => places.push((place, kind)),
+                (first, _) => {
+                    let item = format!("column {name} of {}", self.file);
+                    let value = if first.is_none() { "absent" } else { "there twice" };
+                    let expected = format!("it once among {}", self.names.join(", "));
+                    return Err(BuildError::bad_value(item, value, expected));
+                }
+            }
+        }
+        let mut rows = Rows::default();
+        while let Some((line, mut cells)) = self.next_row()? {
+            if cells.len() != self.names.len() {
+                let hint =
+                    if self.separator == b',' { "; with decimal commas, `;` between them" } else { "" };
+                let expected = format!("{}, as its header{hint}", self.names.len());
+                let item = format!("number of cells in {}", place(&self.file, line));
+                return Err(BuildError::bad_value(item, cells.len(), expected));
+            }
+            for &(column, kind) in &places {
+                let cell = std::mem::take(&mut cells[column]);
+                if kind == Kind::Text {
+                    rows.texts.push(cell.into_owned());
+                    continue;
+                }
+                let (number, expected) = (self.number(&cell), kind.expected());
+                rows.numbers.push(number.filter(|number| kind.has(*number)).ok_or_else(|| {
+                    let item = format!("column {} in {}", self.names[column], place(&self.file, line));
+                    BuildError::bad_value(item, if cell.is_empty() { "empty" } else { &cell }, expected)
+                })?);
+            }
+            rows.lines.push(line);
+        }
+        Ok(rows)
+    }
+
+    fn number(&self, cell: &str) -> Option<f64> {
+        if EMPTY.contains(&cell.to_ascii_lowercase().as_str()) {
+            return Some(f64::NAN);
+        }
+        if self.separator == b',' { cell.parse().ok() } else { cell.replace(',', ".").parse().ok() }
+    }
+
+    /// The line and the cells of the next row; `None` at the end.
+    fn next_row(&mut self) -> Result<Option<(usize, Vec<Cow<'t, str>>)>, BuildError> {
+        while !self.rest.is_empty() {
+            let (text, line) = (self.rest, self.line);
+            let is_comment = text.trim_start_matches([' ', '\t']).starts_with('#');
+            let (mut cells, mut start, mut end, mut is_quoted) = (Vec::new(), 0, text.len(), false);
+            for (place, byte) in text.bytes().enumerate() {
+                match byte {
+                    b'"' if !is_comment => {
+                        let before = text[start..place].trim_start();
+                        is_quoted ^= before.is_empty() || before.starts_with('"');
+                    }
+                    b'\n' | b'\r' if !is_quoted => {
+                        end = place;
+                        break;
+                    }
+                    b'\n' => self.line += 1,
+                    _ if byte == self.separator && !is_quoted => {
+                        cells.push(cell(&text[start..place]));
+                        start = place + 1;
+                    }
+                    _ => {}
+                }
+            }
+            if is_quoted {
+                return Err(BuildError::bad_value(
+                    place(&self.file, line),
+                    "not closed",
+                    "a second quotation mark",
+                ));
+            }
+            cells.push(cell(&text[start..end]));
+            let newline = if text[end..].starts_with("\r\n") { 2 } else { 1 };
+            self.rest = text.get(end + newline..).unwrap_or_default();
+            self.line += 1;
+            if !is_comment && cells.iter().any(|cell| !cell.is_empty()) {
+                return Ok(Some((line, cells)));
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl Rows {
+    /// Name of a row of a file in errors.
     #[must_use]
-    pub fn place(&self, row: usize) -> String {
-        self.line(self.lines[row])
+    pub fn place(&self, file: &str, row: usize) -> String {
+        place(file, self.lines[row])
     }
+}
 
-    fn line(&self, number: usize) -> String {
-        format!("line {} of {}", number + 1, self.file)
+fn place(file: &str, line: usize) -> String {
+    format!("line {line} of {file}")
+}
+
+/// The text of a cell, without its blanks and quotation marks.
+fn cell(text: &str) -> Cow<'_, str> {
+    let text = text.trim();
+    match text.strip_prefix('"').and_then(|rest| rest.strip_suffix('"')) {
+        None => text.into(),
+        Some(inner) => inner.trim().replace("\"\"", "\"").into(),
     }
 }

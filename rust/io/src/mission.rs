@@ -3,7 +3,7 @@
 //! A file has a header line and one line for each sample: the first 7, 10, 13 or 16 of the names in [`COLUMNS`].
 //! Missing derivatives are computed by differences.
 
-use crate::csv::Csv;
+use crate::csv::{Csv, Kind};
 use crate::read_text;
 use flight_core::BuildError;
 use flight_core::control::law::mission::{Commands, Mission};
@@ -53,8 +53,7 @@ pub fn load_mission(config: &MissionConfig) -> Result<Mission, BuildError> {
 /// # Errors
 /// [`BuildError`] naming the file, the line and what was expected.
 pub fn read_recording(file: &Path) -> Result<(Vec<Vec<f64>>, Recording), BuildError> {
-    let csv = parse_rows(&read_text(file)?, &file.display().to_string())?;
-    Ok((csv.rows.clone(), recording(&csv)?))
+    parse_rows(&read_text(file)?, &file.display().to_string())
 }
 
 /// Parses the text of a recorded reference; `origin` is named in errors.
@@ -62,17 +61,18 @@ pub fn read_recording(file: &Path) -> Result<(Vec<Vec<f64>>, Recording), BuildEr
 /// # Errors
 /// [`BuildError::BadValue`] naming `origin`, the line and what was expected.
 pub fn parse_recording(text: &str, origin: &str) -> Result<Recording, BuildError> {
-    recording(&parse_rows(text, origin)?)
+    Ok(parse_rows(text, origin)?.1)
 }
 
-fn parse_rows(text: &str, origin: &str) -> Result<Csv, BuildError> {
+fn parse_rows(text: &str, origin: &str) -> Result<(Vec<Vec<f64>>, Recording), BuildError> {
     let header = format!("the first 7, 10, 13 or 16 names of {}", COLUMNS.join(","));
-    Csv::parse(text, &format!("reference file {origin}"), &header, |names| {
+    let csv = Csv::new(text, &format!("reference file {origin}"), &header, |names| {
         let width = names.len();
         width >= REQUIRED && (width - REQUIRED).is_multiple_of(3) && COLUMNS.get(..width) == Some(names)
-    })
-}
-
-fn recording(csv: &Csv) -> Result<Recording, BuildError> {
-    Recording::new(&csv.rows, &csv.file, |row| csv.place(row))
+    })?;
+    let (width, file) = (csv.names.len(), csv.file.clone());
+    let found = csv.read(&COLUMNS.map(|name| (name, Kind::Number))[..width])?;
+    let rows: Vec<_> = found.numbers.chunks(width).map(<[f64]>::to_vec).collect();
+    let recording = Recording::new(&rows, &file, |row| found.place(&file, row))?;
+    Ok((rows, recording))
 }

@@ -18,11 +18,18 @@ fn what_cannot_be_flown_is_refused_by_line() {
         ),
         (format!("{header},vx\n"), "the first 7, 10, 13 or 16 names"),
         (format!("# source\n{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0\n"), "line 4"),
-        (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0,0\n"), "7 numbers"),
+        (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0,0\n"), "expected 7, as its header"),
         (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,one,0,0,0\n"), "column z in line 3"),
         (format!("{header}\n0,0,0,1,5,0,0,0,0\n"), "with decimal commas, `;` between them"),
         (format!("{}\n0;0;0;1.0,5;0;0;0\n", header.replace(',', ";")), "column z in line 2"),
-        (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,NaN,0,0,0\n"), "finite numbers"),
+        (
+            format!("{header}\n0,0,0,1,0,0,0\n1,0,0,NaN,0,0,0\n"),
+            "column z in line 3 of reference file r.csv is NaN",
+        ),
+        (
+            format!("{header}\n0,0,0,1,0,0,0\n1,0,0,\"1,0,0,0\n"),
+            "line 3 of reference file r.csv is not closed",
+        ),
     ];
     for (text, expected) in cases {
         let message = parse_recording(&text, "r.csv").unwrap_err().to_string();
@@ -32,11 +39,16 @@ fn what_cannot_be_flown_is_refused_by_line() {
     assert!(load_mission(&nowhere).unwrap_err().to_string().contains("nowhere.csv"));
 }
 
-/// With a semicolon or a tab between the columns, commas are decimal; the byte order mark of a spreadsheet is none.
+/// With a semicolon or a tab between the columns, commas are decimal; a spreadsheet begins with a byte order mark, may
+/// quote cells and end lines with a carriage return.
 #[test]
 fn a_table_of_a_spreadsheet_is_read() {
     let header = COLUMNS[..7].join(",");
     let expected = format!("{header}\n0,0,0,1.25,0,0,0\n1.5,0,-2,1,0,0,0\n");
+    let quoted = format!("\"{}\"\r", COLUMNS[..7].join("\",\""));
+    let text = "\"0\",0,0,\"1.25\",0,0,0\r\n\r\n  # a \"comment\r\n 1.5 , 0,-2, \" 1\" ,0,0,0";
+    let read_quoted = parse_recording(&format!("{quoted}{text}"), "r.csv").unwrap();
+    assert_eq!(format!("{read_quoted:?}"), format!("{:?}", parse_recording(&expected, "r.csv").unwrap()));
     let read = |text: &str| format!("{:?}", parse_recording(text, "r.csv").unwrap());
     for separator in [";", "\t"] {
         let rows = ["0;0;0;1,25;0;0;0", "1,5;0;-2;1;0;0;0"].join("\n");

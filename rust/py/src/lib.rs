@@ -44,7 +44,7 @@ mod _core {
     #[pymodule_export]
     use super::stepwise::Flight;
     #[pymodule_export]
-    use super::tables::{check_table, read_table, read_toml};
+    use super::tables::{check_table, read_csv, read_table, read_toml};
     use flight_core::control::Modes;
     use pyo3::prelude::*;
 

@@ -14,7 +14,7 @@ use flight_io::{AeroConfig, LoadedRobot, RobotFiles, from_json, load_aero};
 use nalgebra::{DVector, Matrix3, Vector3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyType};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -79,12 +79,32 @@ pub fn measured_state(
 
 #[pymethods]
 impl Robot {
+    /// `texts` are those of its TOML file, with its base files, and of its URDF file, in place of what they hold now.
     #[new]
-    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let files = RobotFiles::read(&path).map_err(value_error)?;
+    #[pyo3(signature = (path, texts = None))]
+    fn new(py: Python<'_>, path: PathBuf, texts: Option<(String, String)>) -> PyResult<Self> {
+        let is_read = texts.is_none();
+        let files = match texts {
+            Some((toml, urdf)) => Ok(RobotFiles { toml, urdf, origin: path.display().to_string() }),
+            None => RobotFiles::read(&path),
+        };
+        let files = files.map_err(value_error)?;
         let LoadedRobot { model, links, held, warnings } = files.load().map_err(value_error)?;
-        warn(py, warnings)?;
+        if is_read {
+            warn(py, warnings)?;
+        }
         Ok(Self { files, model, links, held })
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyType>, (String, (String, String))) {
+        let RobotFiles { toml, urdf, origin } = slf.get().files.clone();
+        (slf.get_type(), (origin, (toml, urdf)))
+    }
+
+    fn __repr__(&self) -> String {
+        let RobotModel { name, joints, jets, .. } = &self.model;
+        let jets: Vec<_> = jets.iter().map(|jet| jet.name.as_str()).collect();
+        format!("<Robot {name}: {:.2} kg, {} joints, jets {}>", self.mass(), joints.len(), jets.join(", "))
     }
 
     #[getter]

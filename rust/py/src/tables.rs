@@ -1,7 +1,10 @@
-//! Tables whose types only Python has, read and checked by their JSON Schemas.
+//! Tables whose types only Python has: of numbers and texts (CSV), and of keys, checked by their JSON Schemas.
 
-use crate::arrays::{plain_error, value_error};
+use crate::arrays::{Output, array, plain_error, value_error};
+use flight_core::BuildError;
 use flight_io::Schema;
+use flight_io::csv::{Csv, Kind};
+use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use serde_json::{Map, Value};
 use std::path::PathBuf;
@@ -30,6 +33,47 @@ pub fn check_table(table_json: &str, folder: PathBuf, schema_json: &str) -> PyRe
     let checked = flight_io::resolve_table(table, &folder, &schema)
         .and_then(|table| schema.check(&table).map(|()| table));
     Ok(checked.map_err(value_error)?.to_string())
+}
+
+/// Names, numbers (row, column), texts (row by row) and lines of a table.
+type Table<'py> = (Vec<String>, Output<'py>, Vec<String>, Bound<'py, PyArrayDyn<i64>>);
+
+/// Read columns of a table of text, whose header has the name `key`; `file` names it in errors. A column of readings or
+/// signals may be absent.
+#[pyfunction]
+pub fn read_csv<'py>(
+    py: Python<'py>,
+    content: &[u8],
+    file: &str,
+    key: &str,
+    columns: Vec<(String, String)>,
+) -> PyResult<Table<'py>> {
+    let (names, width, rows) = py
+        .detach(|| {
+            let text = str::from_utf8(content)
+                .map_err(|error| BuildError::bad_value(file, error, "text in UTF-8"))?;
+            let csv = Csv::new(text, file, &format!("a header with `{key}`"), |names| names.contains(&key))?;
+            let mut wanted: Vec<_> =
+                columns.iter().map(|(name, kind)| (name.as_str(), kind_of(kind))).collect();
+            wanted.retain(|(name, kind)| {
+                matches!(kind, Kind::Number | Kind::Text) || csv.names.iter().any(|other| other == name)
+            });
+            let width = wanted.iter().filter(|(_, kind)| *kind != Kind::Text).count();
+            Ok((csv.names.clone(), width, csv.read(&wanted)?))
+        })
+        .map_err(value_error)?;
+    let shape = [rows.lines.len(), width];
+    let lines = array(py, &shape[..1], rows.lines.into_iter().map(|line| line as i64).collect())?;
+    Ok((names, array(py, &shape, rows.numbers)?, rows.texts, lines))
+}
+
+fn kind_of(word: &str) -> Kind {
+    match word {
+        "number" => Kind::Number,
+        "reading" => Kind::Reading,
+        "signal" => Kind::Signal,
+        _ => Kind::Text,
+    }
 }
 
 fn schema(json: &str) -> PyResult<Schema> {

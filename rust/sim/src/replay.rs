@@ -15,6 +15,10 @@ use nalgebra::{DVector, Matrix3, Vector3};
 /// Greatest relative difference between the median period of a log and that of its ticks.
 const PERIOD_TOLERANCE: f64 = 0.01;
 
+/// Greatest number of rows over which periods are taken: jitter of single times has less effect on longer ones, and a
+/// pause of the controller is in more of them.
+const LONGEST_SPAN: usize = 50;
+
 /// Replays the measurements of a log, its `time` and `raw_*` signals and, where there is one, `foot_wrench`, through
 /// the controller of a configuration. Returns what it computes: the signals of [`Read::Tick`](crate::signals::Read::Tick).
 ///
@@ -94,13 +98,17 @@ fn check_period(log: &FlightLog, time_step: f64, steps: u32) -> Result<(), Build
     if time.is_empty() {
         return Err(BuildError::bad_value("number of rows of the log", 0, "one or more"));
     }
-    let mut periods: Vec<f64> = time.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    if let Some(row) = periods.iter().position(|period| period.is_nan() || *period <= 0.0) {
+    if let Some(row) =
+        time.windows(2).position(|pair| pair[1] - pair[0] <= 0.0 || (pair[1] - pair[0]).is_nan())
+    {
         let expected = format!("a time after that of row {}, {} s", row + 1, time[row]);
         let item = format!("time of row {} of the log", row + 2);
         return Err(BuildError::bad_value(item, format!("{} s", time[row + 1]), expected));
     }
     let expected = time_step / f64::from(steps);
+    let span = ((time.len() - 1) / 4).clamp(1, LONGEST_SPAN);
+    let mut periods: Vec<f64> =
+        time.windows(span + 1).map(|rows| (rows[span] - rows[0]) / span as f64).collect();
     let middle = periods.len() / 2;
     let period = match periods.is_empty() {
         true if steps == 1 => expected,

@@ -5,7 +5,8 @@
 use crate::turbulence::Turbulence;
 use flight_core::control::preview::interpolate;
 use flight_core::error::{BuildError, check};
-use flight_io::csv::Csv;
+use flight_io::csv::{Csv, Kind};
+use flight_io::read_text;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -206,8 +207,11 @@ fn check_order(
 
 fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
     const COLUMNS: [&str; 4] = ["time", "x", "y", "z"];
-    let csv = Csv::read(path, "wind file", "the header time,x,y,z", |names| names == COLUMNS)?;
-    let samples: Vec<[f64; 4]> = csv.rows.iter().map(|row| [row[0], row[1], row[2], row[3]]).collect();
+    let file = format!("wind file {}", path.display());
+    let text = read_text(path)?;
+    let csv = Csv::new(&text, &file, "the header time,x,y,z", |names| names == COLUMNS)?;
+    let rows = csv.read(&COLUMNS.map(|name| (name, Kind::Number)))?;
+    let samples = rows.numbers.as_chunks::<4>().0;
     if let Some(row) = samples
         .iter()
         .position(|sample| sample[1..].iter().any(|part| part.is_finite() && part.abs() >= MISSING))
@@ -215,7 +219,7 @@ fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
         let expected = format!(
             "a wind below {MISSING} m/s, as {MISSING}, 999 and the like stand for no measurement, whose row is left out"
         );
-        return Err(BuildError::bad_value(csv.place(row), format!("{:?}", samples[row]), expected));
+        return Err(BuildError::bad_value(rows.place(&file, row), format!("{:?}", samples[row]), expected));
     }
-    check_order(&samples, &csv.file, |row| csv.place(row))
+    check_order(samples, &file, |row| rows.place(&file, row))
 }
