@@ -1,10 +1,15 @@
+import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 from PIL import Image
 
+from experiments import replay
+from jax_aero import rust
 from jax_aero.base import flights
 from jax_aero.base.quantities import shown_array
+from jax_aero.verify import Row
+from jax_aero.verify import cli as verify
 from paper_figs import panels, runs, style
 from paper_figs.command import main
 from paper_figs.figures import FIGURES
@@ -145,3 +150,24 @@ def test_how_a_flight_was_lost_stands_once_in_its_row(made_up_results):
 )
 def test_names_become_words(name, words):
     assert readable_name(name) == words
+
+
+def test_figures_do_not_depend_on_the_settings_of_their_user(tmp_path):
+    """Also those of commands outside this folder, which draw in this style."""
+
+    def drawn(name):
+        rows = [Row("dynamics", "com_position", 1e-10, True, 1e-14, 1.0, 0.0, True)]
+        verify.draw(rows, tmp_path / f"{name}_verify.png")
+        log = {"time": np.arange(3.0), "thrust": np.ones((3, 4))}
+        replayed = log | {"thrust": np.zeros((3, 4))}
+        differences = replay.compare(log, replayed)
+        robot = rust.Robot(rust.load_config("test2")["robot"])
+        replay._draw(log, replayed, differences, robot, tmp_path / f"{name}_replay.png")
+        return [path.read_bytes() for path in sorted(tmp_path.glob(f"{name}_*.png"))]
+
+    ours = drawn("ours")
+    with mpl.rc_context({"text.usetex": True, "font.size": 30.0, "axes.facecolor": "red", "lines.linestyle": ":"}):
+        assert drawn("theirs") == ours
+        style.use()
+        changed = {key for key, value in mpl.rcParams.items() if value != mpl.rcParamsDefault[key]}
+        assert changed <= {*style.SETTINGS, "backend", "backend_fallback"}
