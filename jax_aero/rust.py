@@ -903,7 +903,7 @@ class Csv(NamedTuple):
     header: list[str]
     numbers: dict[str, Array]
     texts: dict[str, list[str]]
-    lines: NDArray[np.int64]
+    lines: NDArray[np.uint64]
 
 
 def read_csv(content: bytes | str, file: str, columns: Mapping[str, str], key: str = "") -> Csv:

@@ -60,6 +60,9 @@ pub struct Rows {
     pub lines: Vec<usize>,
 }
 
+/// Line and cells of a row.
+type Row<'t> = (usize, Vec<Cow<'t, str>>);
+
 impl<'t> Csv<'t> {
     /// Reads the header of `file`: of the separators the first one whose names are accepted; `header` describes them.
     ///
@@ -138,7 +141,7 @@ impl<'t> Csv<'t> {
     }
 
     /// The line and the cells of the next row; `None` at the end.
-    fn next_row(&mut self) -> Result<Option<(usize, Vec<Cow<'t, str>>)>, BuildError> {
+    fn next_row(&mut self) -> Result<Option<Row<'t>>, BuildError> {
         while !self.rest.is_empty() {
             let (text, line) = (self.rest, self.line);
             let is_comment = text.trim_start_matches([' ', '\t']).starts_with('#');

@@ -36,7 +36,7 @@ pub fn check_table(table_json: &str, folder: PathBuf, schema_json: &str) -> PyRe
 }
 
 /// Names, numbers (row, column), texts (row by row) and lines of a table.
-type Table<'py> = (Vec<String>, Output<'py>, Vec<String>, Bound<'py, PyArrayDyn<i64>>);
+type Table<'py> = (Vec<String>, Output<'py>, Vec<String>, Bound<'py, PyArrayDyn<usize>>);
 
 /// Read columns of a table of text, whose header has the name `key`; `file` names it in errors. A column of readings or
 /// signals may be absent.
@@ -63,7 +63,7 @@ pub fn read_csv<'py>(
         })
         .map_err(value_error)?;
     let shape = [rows.lines.len(), width];
-    let lines = array(py, &shape[..1], rows.lines.into_iter().map(|line| line as i64).collect())?;
+    let lines = array(py, &shape[..1], rows.lines)?;
     Ok((names, array(py, &shape, rows.numbers)?, rows.texts, lines))
 }
 
