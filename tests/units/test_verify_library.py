@@ -1,0 +1,34 @@
+"""The C library gives the commands of the crate, bit by bit; those of another configuration disagree."""
+
+import numpy as np
+import pytest
+
+from jax_aero import rust
+from jax_aero.verify import library
+
+LIBRARY = library.find()
+SHORT = {"simulator.duration": 0.3}
+pytestmark = pytest.mark.skipif(LIBRARY is None, reason="libflight is not built: make test")
+
+
+@pytest.mark.parametrize("name", ["test2", "test2_sensors", "robot"])
+def test_every_tick_of_a_flight_has_the_bits_of_the_crate(name):
+    config = rust.load_config(name, SHORT)
+    assert library.why_not(config) is None
+    rows = library.verify_library(config, LIBRARY)
+    assert [(row.quantity, row.absolute, row.agrees) for row in rows] == [
+        (name, 0.0, True) for name in library.COMMANDS
+    ]
+
+
+def test_commands_of_another_configuration_disagree():
+    flown, other = rust.fly(rust.load_config("test2", SHORT)), rust.load_config("test1", SHORT)
+    found = library.commands(other, flown, LIBRARY)
+    torque = np.array([command["joint_torque"] for command in found])
+    assert np.abs(torque - flown["joint_torque"]).max() > 1e-6
+
+
+def test_what_no_log_has_is_not_compared(tmp_path):
+    assert "torque.steps" in library.why_not(rust.load_config("robot", {"controller.torque.steps": 10}))
+    with pytest.raises(OSError, match="nowhere"):
+        library.verify_library(rust.load_config("test2", SHORT), tmp_path / "nowhere.so")
