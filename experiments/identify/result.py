@@ -25,14 +25,22 @@ def write_robot(folder: Path, source: Path, robot: RobotModel, numbers: Numbers,
     before = rust.Robot(source)
     table, tree = tomllib.loads(before.toml_text), ET.fromstring(before.urdf_text)
     mass, inertia = 1.0 + float(numbers.mass), (1.0 + float(numbers.mass)) * (1.0 + float(numbers.inertia))
-    base = next(link for link in tree.iter("link") if link.get("name") == table["base_link"])
-    # The base link is moved for the whole body that it is a part of.
-    own = float(base.find("inertial/mass").get("value"))  # type: ignore[union-attr,arg-type]
-    origin = base.find("inertial/origin")
-    if origin is None:
-        origin = ET.SubElement(base.find("inertial"), "origin")  # type: ignore[arg-type]
+    # The heaviest link of the base body is moved for the whole body.
+    parts = {name: pose for name, (body, pose) in before.links().items() if body == 0}
+    weights = {
+        link: float(own.get("value", 0.0))
+        for link in tree.iter("link")
+        if link.get("name") in parts and (own := link.find("inertial/mass")) is not None
+    }
+    heaviest = max(weights, key=lambda link: weights[link])
+    rotation, _ = parts[str(heaviest.get("name"))]
+    inertial = heaviest.find("inertial")
+    assert inertial is not None  # since it has a mass
+    origin = inertial.find("origin")
+    origin = ET.SubElement(inertial, "origin") if origin is None else origin
     place = np.array(origin.get("xyz", "0 0 0").split(), dtype=float)
-    origin.set("xyz", _text(place + float(robot.masses[0]) / own * np.asarray(numbers.com)))
+    moved = rotation.T @ np.asarray(numbers.com) * float(robot.masses[0]) / weights[heaviest]
+    origin.set("xyz", _text(place + moved))
     for tag, factor in (("mass", mass), ("inertia", inertia)):
         for element in tree.iterfind(f"link/inertial/{tag}"):
             element.attrib |= {key: _text(factor * float(value)) for key, value in element.attrib.items()}

@@ -192,13 +192,15 @@ def of_sweep(name: str, claim: Criterion) -> Claim:
         Bound(of=column, most=limit, how=f"{{case}}: {{{column}_text}}") for column, limit in claim.at_most.items()
     ]
     ended = Bound(of="others", most=0, how="{case}: {missed}")
-    asks = [Bound(of="above", most=0, how="{case}")] if claim.share is not None else [ended, *limits]
     return Claim(
         where="ours",
         states=claim.states,
         measure=OF_SWEEP,
         arguments={"name": name, "claim": claim},
-        asks=tuple(asks),
+        asks=(Bound(of="above", most=0, how="{above} too many"),) if claim.share else (ended, *limits),
+        remarks=(Bound(of="is_decided", equal=True, how="; not decided: {limit:g} % is within the interval"),)
+        if claim.share
+        else (),
         commands=(f"sweep {name}",),
     )
 

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from functools import cache
 from typing import Any
 
 import msgspec
 
-from experiments import Refused
-from experiments.report.judge import Finding
+from experiments import Refused, outdated
+from experiments.report import judge, paper
+from experiments.report.judge import Finding, Kind, Verdict
+from experiments.report.measures.results import of_cells
 from experiments.report.page import markdown
+from experiments.report.results import ANOTHER
+from experiments.sweep.criteria import Criterion
 from experiments.sweep.intervals import wilson
 from jax_aero.base import places
 from jax_aero.base.files import read_json
@@ -76,19 +80,58 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     firsts: list[list[Any]] = []
     """Outcome and figures (`keep.FIRST`) of the first flight of each cell, in the order of the sweep's cells.
 
-    Empty where the cell's controller is in Python.
+    Empty where MuJoCo simulates or the controller is in Python.
     """
     firsts_flown: str = ""
     """When and with which commit these were flown, if not with the other flights."""
-    claims: dict[str, Finding] = {}
-    states: dict[str, str] = {}
-    """What the claims say."""
     summary: Any = None
     """Figures of a study or a benchmark."""
 
     def table(self) -> list[dict[str, Any]]:
         """Return the rows as tables."""
         return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+
+    def cells(self, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
+        """Return the rows with the columns of a sweep's table of cells, pooled over these axes and no others."""
+        found = [row for row in self.table() if {axis.name for axis in self.axes if row[axis.name] == ALL} == pooled]
+        return [row | _as_cell(row) for row in found]
+
+    @property
+    def stated(self) -> dict[str, Criterion]:
+        """Return the claims in the file of its sweep, by key."""
+        _, _, name = self.result.partition("/")
+        return {one.key: one for one in paper.stated(name)} if self.rows and name in places.names("sweeps") else {}
+
+    @property
+    def claims(self) -> dict[str, Finding]:
+        """Return what its rows say of these claims, by today's judge; outdated if its sweep is another by now."""
+        differs = _differs(self.result, self.digest, tuple(self.numerics.items())) if self.stated else ""
+        return {key: self._find(one, differs) for key, one in self.stated.items()}
+
+    def _find(self, asked: Criterion, differs: str) -> Finding:
+        axes = [axis.name for axis in self.axes]
+        pooled = {*axes} - {*asked.cells} if asked.share else set()
+        found = of_cells([cell for cell in self.cells(pooled) if asked.covers(cell)], axes, asked)
+        verdict = judge.of_sweep(self.name, asked).judge(found.cases)
+        if differs:
+            return Finding(f"{found.text}; {ANOTHER}: {differs}", Verdict.of(Kind.OUTDATED, verdict.text), self.commit)
+        return Finding(found.text, verdict, self.commit)
+
+
+def _as_cell(row: Mapping[str, Any]) -> dict[str, Any]:
+    cell: dict[str, Any] = {"upright": row["completed"] + row["landed"]}
+    for share, count in {"completed": row["completed"], **cell}.items():
+        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(count, row["flights"])
+    for quantity, column, factor in (("rotation_error_deg", "rotation_deg", 1.0), ("com_error", "com_cm", 0.01)):
+        for quantile, of in (("p10", "median"), ("median", "median"), ("p90", "high"), ("worst", "worst")):
+            value = row[f"{column}_{of}"]
+            cell[f"{quantity}_{quantile}"] = None if value is None else factor * value
+    return cell
+
+
+@cache
+def _differs(result: str, digest: str, numerics: tuple[tuple[str, int], ...]) -> str:
+    return outdated.sweep(places.RESULTS / result, {"config_digest": digest, "numerics": dict(numerics)})
 
 
 def names() -> list[str]:
@@ -142,11 +185,17 @@ def page(kept: Kept) -> str:
         flown=flown,
         legend=_legend(kept, flown[0]),
         summary=list(_summary(kept.summary)),
-        claims=[(kept.states[key], one.measured, f"**{one.verdict}**") for key, one in kept.claims.items()],
+        claims=[(kept.stated[key].states, one.measured, f"**{one.verdict}**") for key, one in kept.claims.items()],
         picture=picture if (FOLDER / picture).is_file() else "",
         made=_made(kept),
-        again=f"The first flight of each cell: {kept.firsts_flown}." if kept.firsts_flown else "",
+        again=_again(kept),
     )
+
+
+def _again(kept: Kept) -> str:
+    if kept.firsts and not any(kept.firsts):
+        return "On another processor its shares repeat within their intervals, its digits do not."
+    return f"The first flight of each cell: {kept.firsts_flown}." if kept.firsts_flown else ""
 
 
 def _made(kept: Kept) -> str:
@@ -189,10 +238,10 @@ COUNTS: dict[str, Quantity] = {
     "flights": lambda row: str(row["flights"] or ""),
     "completed": lambda row: str(row["completed"]),
     "landed": lambda row: str(row["landed"] or ""),
-    "landing": lambda row: str(row.get("landing") or ""),
-    "off course": lambda row: str(row.get("off_course") or ""),
-    "crashed": lambda row: str(row.get("crashed") or ""),
-    "fell": lambda row: str(row["lost"] - row.get("crashed", 0) or ""),
+    "landing": lambda row: str(row["landing"] or ""),
+    "off course": lambda row: str(row["off_course"] or ""),
+    "crashed": lambda row: str(row["crashed"] or ""),
+    "fell": lambda row: str(row["lost"] - sum(row[end] for end in ("landing", "off_course", "crashed")) or ""),
 }
 SHOWN: dict[str, dict[str, Quantity]] = {
     "share": {SHARE: lambda row: _share(row)},

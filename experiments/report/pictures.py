@@ -8,15 +8,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 import pandas as pd
 
 from experiments.report import kept
-from experiments.report.kept import ALL, Kept
-from experiments.sweep.intervals import wilson
+from experiments.report.kept import Kept
 from jax_aero.base.files import write_bytes
 from paper_figs import style
 from paper_figs.command import draw_sweep
@@ -43,9 +41,7 @@ class KeptSweep(Sweep):
     @cached_property
     def cells(self) -> pd.DataFrame:
         """Return one row per cell."""
-        names = [axis.name for axis in self.kept.axes]
-        whole = [row for row in self.kept.table() if all(row[name] != ALL for name in names)]
-        return pd.DataFrame([_cell(row, names) for row in whole])
+        return pd.DataFrame(self.kept.cells()).fillna(np.nan)
 
     def footnote(self) -> str:
         """Return the number of flights of a cell, and whether they differ."""
@@ -57,19 +53,6 @@ def sweep_of(document: Kept) -> KeptSweep:
     axes = [msgspec.to_builtins(axis) for axis in document.axes]
     shown = {"title": document.title, "drawing": document.drawing, "panels": document.panels, "axes": axes}
     return KeptSweep(document.name, shown, kept.FOLDER, document)
-
-
-def _cell(row: dict[str, Any], names: list[str]) -> dict[str, Any]:
-    """Return a row with the columns of a table of cells."""
-    cell = {name: row[name] for name in names} | {"flights": row["flights"], "completed": row["completed"]}
-    cell["upright"] = row["completed"] + row["landed"]
-    for share in ("completed", "upright"):
-        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(cell[share], row["flights"])
-    for quantity, column, factor in (("rotation_error_deg", "rotation_deg", 1.0), ("com_error", "com_cm", 0.01)):
-        for quantile, of in (("p10", "median"), ("median", "median"), ("p90", "high"), ("worst", "worst")):
-            value = row[f"{column}_{of}"]
-            cell[f"{quantity}_{quantile}"] = np.nan if value is None else factor * value
-    return cell
 
 
 def is_drawn(document: Kept) -> bool:

@@ -76,7 +76,8 @@ def _of_cells() -> Iterator[tuple[str, Column]]:
     for outcome in OUTCOMES:
         if outcome not in SHARES:
             yield outcome, Column(COUNT, "1", f"flights with the outcome {outcome}")
-    unwarned = f"lost flights that were degraded for less than {LEAST_WARNING:g} s before"
+    yield "lost", Column(COUNT, "1", "flights that neither completed nor landed")
+    unwarned = f"lost flights that were degraded for less than {LEAST_WARNING:g} s before, or never if flown to the end"
     yield "unwarned", Column(COUNT, "1", unwarned)
     for name, column in QUANTITIES.items():
         _, unit, meaning = FLIGHTS[column]

@@ -9,11 +9,10 @@ from typing import Annotated, Any, Literal, TypeAlias
 import msgspec
 
 from jax_aero.base import tables
-from jax_aero.base.result import Outcome
 from jax_aero.base.terminal import ConfigError
 
-Counted: TypeAlias = Literal[Outcome, "upright", "on_course", "degraded", "unwarned", "flights"]
-"""Columns of the table of cells that are numbers of flights."""
+Counted: TypeAlias = Literal["completed", "upright", "on_course", "lost", "unwarned", "degraded", "flights"]
+"""Columns of the table of cells that are numbers of flights. One way of being lost is none: a claim counts all."""
 
 
 class Share(tables.Table, frozen=True):
@@ -22,12 +21,12 @@ class Share(tables.Table, frozen=True):
     of: Counted
     """The flights that are counted."""
     at_most: tables.Fraction
-    among: tuple[Counted, ...] = ("flights",)
-    """Columns whose sum they are a share of."""
+    among: Counted = "flights"
+    """The flights that they are a share of."""
 
 
 class Criterion(tables.Table, frozen=True):
-    """A statement that a sweep decides: in each of the chosen cells all flights end as stated, within limits."""
+    """A statement that a sweep decides: in each of the chosen cells all flights succeed, within limits."""
 
     key: Annotated[str, msgspec.Meta(pattern=r"^\w+$")]
     """Name of the claim in the report."""
@@ -36,10 +35,10 @@ class Criterion(tables.Table, frozen=True):
     """Levels by axis, one or a list; in a text `*` stands for any characters. All levels of the other axes."""
     at_most: dict[str, float] = msgspec.field(default_factory=dict)
     """Greatest values of columns of the table of cells, such as `rotation_error_deg_worst`."""
-    outcomes: tuple[Outcome, ...] = ("completed",)
-    """How the flights may end."""
-    share: Share | None = None
-    """What is asked instead: a share of the flights of all cells."""
+    success: Literal["completed", "upright"] = "completed"
+    """The flights that succeed."""
+    share: tuple[Share, ...] = ()
+    """What is asked instead: shares of the flights of all cells."""
 
     def covers(self, cell: Mapping[str, Any]) -> bool:
         """Return whether a cell is one of those that decide."""

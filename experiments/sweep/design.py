@@ -105,7 +105,7 @@ class Design:
 
     @property
     def digest(self) -> str:
-        """Return a hash of everything except code that determines the result: every cell and every file named in it."""
+        """Return a hash of everything except code that determines the result: levels and files that they name."""
         return self.digest_of(self.spec.repeats)
 
     def digest_of(self, repeats: int) -> str:
@@ -119,10 +119,19 @@ class Design:
         return {
             "axes": [axis.name for axis in self.spec.axes],
             "labels": [[level.label for level in levels] for levels in self.cells],
-            "cells": [table.config_hash(self.cell_config(cell)) for cell in range(len(self.cells))],
+            "cells": [table.config_hash(self.cell_config(cell)) for cell in self._first_of_levels()],
             "networks": [[card.name, file_hash(card)] for card in members(ensemble)] if ensemble else [],
             "perturbation": manifest.make_portable(plain.to_builtins(self.spec.perturbation)),
         }
+
+    def _first_of_levels(self) -> Iterator[int]:
+        """Yield the first cell of every level and of every base: together they have all that cells are made of."""
+        known: set[object] = set()
+        for cell, levels in enumerate(self.cells):
+            mine = {*enumerate(level.label for level in levels), *(level.base for level in levels)}
+            if not mine <= known:
+                known |= mine
+                yield cell
 
     def check(self) -> None:
         """Refuse, before the first flight, a sweep with duplicate cells or with cells that cannot be flown."""

@@ -92,15 +92,15 @@ def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
 
 
 def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
-    """Return counts and quantiles of the flights of one cell; of the warnings, those of lost flights."""
-    flights = {**flights, "warning_time": np.where(np.isin(flights["outcome"], LOST), flights["warning_time"], np.nan)}
+    """Return counts and quantiles of the flights of one cell; of the warnings, those of flights that a loss ends."""
+    flights = {**flights, "warning_time": np.where(np.isnan(flights["lost_time"]), np.nan, flights["warning_time"])}
     errors = int((flights["outcome"] == "error").sum())
     trials, found = len(flights["outcome"]) - errors, counts(flights)
     record: dict[str, Any] = {"flights": trials, "errors": errors}
     for name in columns.SHARES:
         low, high = wilson(found[name], trials)
         record |= {name: found[name], f"{name}_low": low, f"{name}_high": high}
-    record |= {name: found[name] for name in (*columns.OUTCOMES, "unwarned")}
+    record |= {name: found[name] for name in (*columns.OUTCOMES, "lost", "unwarned")}
     if trials and np.isnan(flights["degraded_time"]).all():
         record |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
     for name, column in columns.QUANTITIES.items():
@@ -115,13 +115,14 @@ def counts(flights: Mapping[str, Any]) -> dict[str, int]:
     """Return how many flights ended how, upright, on course, lost, lost unwarned, and were degraded for a time."""
     outcome = flights["outcome"]
     near = (flights["max_rotation_error_deg"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
-    lost = np.isin(outcome, LOST)
+    lost, is_to_the_end = np.isin(outcome, LOST), np.isnan(flights["lost_time"])
+    late = np.where(is_to_the_end, flights["degraded_time"] <= 0.0, flights["warning_time"] < columns.LEAST_WARNING)
     which = {
         **{name: outcome == name for name in columns.OUTCOMES},
         "upright": np.isin(outcome, UPRIGHT),
         "on_course": (outcome == "completed") & near,
         "lost": lost,
-        "unwarned": lost & (flights["warning_time"] < columns.LEAST_WARNING),
+        "unwarned": lost & late,
         "degraded": flights["degraded_time"] > 0.0,
     }
     return {name: int(rows.sum()) for name, rows in which.items()}

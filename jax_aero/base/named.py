@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,13 @@ def _find_named(path: Path, seen: set[Path]) -> Iterator[Path]:
 
 def _table(path: Path) -> Any:
     """Return what a TOML or JSON file says; `None` for other files, and damaged ones, which their user will report."""
+    state = path.stat()
+    return _read(path, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=64)
+def _read(path: Path, *_: int) -> Any:
+    """Return what a file says that was changed at this time, and is of this size."""
     try:
         if path.suffix == ".toml":
             return tables.read(path)

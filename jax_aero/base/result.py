@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,8 @@ Outcome = Literal["completed", "off_course", "landed", "landing", "crashed", "fe
 UPRIGHT: tuple[Outcome, ...] = ("completed", "landed")
 """Outcomes of a flight that completes its mission or touches down within the limits of a landing."""
 
-LOST: tuple[Outcome, ...] = ("crashed", "fell", "diverged")
-"""Outcomes of a flight that is lost."""
+LOST: tuple[Outcome, ...] = tuple(outcome for outcome in get_args(Outcome) if outcome not in UPRIGHT)
+"""Outcomes of a flight that is lost: all others."""
 
 
 def ending(outcome: str, lost_time: float | None, lost_reason: str | None) -> str:

@@ -12,7 +12,7 @@ chapter 7.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -30,24 +30,27 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import exp_so3, rotation_from_wxyz
 from jax_aero.types import Array, State
 
-SLIP = 0.02
-"""Velocity from which dry friction is taken as whole [rad/s]: what smoothed encoders resolve."""
-MOVING = 0.05
-"""Velocity above which a joint does not stick [rad/s]."""
-FREQUENCY = 3.0
+SLIP = 0.03
+"""Velocity from which dry friction is taken as most of the whole [rad/s]: a joint that trembles feels less of it."""
+MOVING = 0.15
+"""Velocity above which a joint does not stick [rad/s]; between it and `SLIP` friction depends on how it trembles."""
+FREQUENCY = 2.0
 """Highest frequency of the residual that is used [Hz]: above it sensors and drives are noise."""
 BAND = 12
 """Frequencies in which a row's noise is taken as white."""
 TAPER = 0.1
 """Share of a log at its ends over which the residual rises and falls."""
-LINEARISED, WEIGHED = 2, 5
-"""How often the residual is linearised, and its noise estimated for each: the residual is nearly linear."""
-UNMODELLED = (1.4, 0.3, 0.7)
-"""Deviation, in every sample, of forces and moments on the base and of torques that no number explains [N, N m, N m].
-
-Ours: with smaller ones the intervals of drawn robots do not hold the truth, since friction that sticks, air that no
-model fits and lags of some milliseconds are no white noise.
-"""
+COARSE, WEIGHED = 4, 5
+"""The residual, nearly linear, is linearised in every fourth sample, then in all; how often its noise is estimated."""
+UNMODELLED = (7e-4, 4.3e-4, 8.5e-4)
+"""Deviation, in every sample, of forces and moments on the base and of torques that no number explains, as shares of
+the weight and of the weight at the radius of gyration. Ours: of drawn robots' residuals at their truth."""
+COHERENT = 3e-4
+"""Deviation of the whole robot's centre of mass that such air imitates [m], since it moves with the robot; ours, of
+drawn robots, whose base seems 3 mm higher in a network's air than in the controller's own."""
+AIR = (0.3, 0.4)
+"""Share of the air's force in every frequency that no factor of a link explains, and its lever arm over the radius of
+gyration: what an analytical model leaves of a network."""
 CHUNK = 50
 """Samples whose derivatives are computed at once; bounds the memory."""
 
@@ -75,15 +78,23 @@ class Numbers(NamedTuple):
     """Dry friction of each drive [N m, N]."""
     damping: Float[Any, ""]
     """Viscous friction of all drives [N m s]."""
-    air: Float[Any, ""]
-    """Of all forces of the air, relative."""
+    air: Float[Any, " l"]
+    """Of the force of the air on each link, relative."""
     wrench: Float[Any, "6"]
     """Constant force and moment on the base that nothing else explains [N, N m]."""
+    wind: Float[Any, "3"]
+    """Constant wind beside the measured one [m/s, inertial axes]."""
+    delay: Float[Any, "2"]
+    """Of thrusts and torques, beside what their samples are corrected for [s]."""
 
 
 class Samples(NamedTuple):
     """Smoothed measurements of one log at k times, all of the same moment."""
 
+    weight: Float[Any, " k"]
+    """1, or 0 in samples that the equations do not cover."""
+    position_rate: Float[Any, "k 3"]
+    """Derivative of the measured position of the base [m/s]."""
     rotation: Float[Any, "k 3 3"]
     linear_velocity: Float[Any, "k 3"]
     linear_acceleration: Float[Any, "k 3"]
@@ -94,8 +105,12 @@ class Samples(NamedTuple):
     joint_velocity: Float[Any, "k n"]
     joint_acceleration: Float[Any, "k n"]
     thrust: Float[Any, "k j"]
+    thrust_rate: Float[Any, "k j"]
     torque: Float[Any, "k n"]
+    torque_rate: Float[Any, "k n"]
     wind: Float[Any, "k 3"]
+    feet: Float[Any, "k N"]
+    """Generalised forces of the measured wrenches of the feet; zero in flight."""
 
 
 class Found(NamedTuple):
@@ -109,6 +124,9 @@ class Found(NamedTuple):
         (p, p).
     residuals
         Of every log before and after (k, 6 + n) [N, N m].
+    held_out
+        Of every log that was held out: what the numbers of the others leave, its deviation by what is unknown of them,
+        and the weights of the rows, each (k, 6 + n).
     """
 
     value: Float[np.ndarray, " p"]
@@ -116,6 +134,7 @@ class Found(NamedTuple):
     prior: Float[np.ndarray, " p"]
     covariance: Float[np.ndarray, "p p"]
     residuals: list[tuple[np.ndarray, np.ndarray]]
+    held_out: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
     @property
     def share(self) -> Float[np.ndarray, " p"]:
@@ -168,15 +187,9 @@ def unexplained(robot: RobotModel, aero: AeroModel, numbers: Numbers, now: Sampl
     return _inertial(robot, aero, numbers, now)[0]
 
 
-def base_error(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[Array, "k 6"]:
-    """Return measured less predicted accelerations of the base, the joints moving as measured [m/s², rad/s²]."""
-
-    def one(now: Samples) -> Any:
-        residual, mass = _inertial(robot, aero, numbers, now)
-        return jnp.linalg.solve(mass[:6, :6], residual[:6])
-
-    found: Array = jax.jit(lambda every: jax.lax.map(one, every, batch_size=CHUNK))(samples)
-    return found
+def mass_matrices(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N N"]:
+    """Return the mass matrix of every sample."""
+    return _by_chunks(lambda part: _residuals(robot, aero, numbers, part)[1], samples)
 
 
 def _inertial(robot: RobotModel, aero: AeroModel, numbers: Numbers, now: Samples) -> tuple[Array, Array]:
@@ -188,12 +201,34 @@ def _inertial(robot: RobotModel, aero: AeroModel, numbers: Numbers, now: Samples
     state = State(jnp.zeros(3), rotation, now.joint_position - numbers.encoders, velocity)
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
-    links = link_forces(aero, robot, kin, LinkConventions(), now.wind)
+    links = link_forces(aero, robot, kin, LinkConventions(), now.wind + numbers.wind)
+    links = links._replace(forces=(1.0 + numbers.air)[:, None] * links.forces)
     air = generalised_aero_force(robot, kin, links, links.arm_points)
-    thrust = generalised_thrust(robot, kin, (1.0 + numbers.thrust_gain) * (now.thrust - numbers.thrust_offset))
-    drive = now.torque - numbers.friction * jnp.tanh(now.joint_velocity / SLIP) - numbers.damping * now.joint_velocity
-    acting = thrust + (1.0 + numbers.air) * air + jnp.concatenate([numbers.wrench, drive])
+    measured = now.thrust - numbers.delay[0] * now.thrust_rate - numbers.thrust_offset
+    thrust = generalised_thrust(robot, kin, (1.0 + numbers.thrust_gain) * measured)
+    slipping = now.joint_velocity / jnp.sqrt(now.joint_velocity**2 + SLIP**2)
+    drive = now.torque - numbers.delay[1] * now.torque_rate
+    drive = drive - numbers.friction * slipping - numbers.damping * now.joint_velocity
+    acting = thrust + air + now.feet + jnp.concatenate([numbers.wrench, drive])
     return dyn.mass_matrix @ acceleration + dyn.bias - acting, dyn.mass_matrix
+
+
+def scale_of(robot: RobotModel) -> tuple[float, float]:
+    """Return weight [N] and radius of gyration about the base [m] of a robot with straight joints."""
+    still = State(jnp.zeros(3), jnp.eye(3), jnp.zeros(robot.n_joints), jnp.zeros(robot.n_velocities))
+    inertia = np.asarray(dynamics(robot, still, kinematics(robot, still)).mass_matrix)
+    return float(inertia[0, 0] * robot.gravity), float(np.sqrt(np.trace(inertia[3:6, 3:6]) / (2.0 * inertia[0, 0])))
+
+
+def floor_of(
+    robot: RobotModel, air: Float[np.ndarray, "f N"], unmodelled: tuple[float, float, float] = UNMODELLED
+) -> Float[np.ndarray, "f N"]:
+    """Return the mean square of every row that no number explains, where the air acts with these forces."""
+    weight, radius = scale_of(robot)
+    white = np.repeat(weight * np.array([1.0, radius, radius]) * unmodelled, [3, 3, robot.n_joints])
+    of_air = np.abs(air) ** 2
+    of_air[:, 3:6] += (AIR[1] * radius) ** 2 * of_air[:, :3].sum(axis=1, keepdims=True)
+    return np.asarray(white**2 + AIR[0] ** 2 * of_air)
 
 
 def estimate(
@@ -204,6 +239,7 @@ def estimate(
     prior: Numbers,
     weighed: tuple[float, float] | None = None,
     unmodelled: tuple[float, float, float] = UNMODELLED,
+    known: Sequence[int] | None = None,
 ) -> Found:
     """Return the most probable numbers.
 
@@ -217,44 +253,73 @@ def estimate(
         Mass of the robot on a scale, and its standard deviation [kg].
     unmodelled
         As `UNMODELLED`.
+    known
+        Number of the first samples of every log that predict the others; the numbers are then those of all.
     """
-    floor = np.repeat(unmodelled, [3, 3, robot.n_joints])
     widths, unravel = ravel_pytree(prior)
     width: np.ndarray = np.asarray(widths, dtype=float)
     free = np.flatnonzero(width > 0.0)
     sigma = width[free]
     chosen = tuple(free.tolist())
+    counts = [len(one.weight) for one in logs]
+    known = counts if known is None else known
     theta = np.zeros(width.size)
-    before = [np.asarray(_unexplained(robot, aero, unravel(jnp.asarray(theta)), one)) for one in logs]
-    covariance: np.ndarray = np.zeros((sigma.size, sigma.size))
-    for _ in range(LINEARISED):
-        start = theta.copy()
-        guess = unravel(jnp.asarray(theta))
-        spectra = [
-            _transformed(
-                moving[:, :, None] * np.asarray(_slopes(robot, aero, guess, one, chosen)),
-                moving * np.asarray(_unexplained(robot, aero, guess, one)),
-                period,
-            )
-            for one, moving in zip(logs, map(_moving, logs), strict=True)
-        ]
+    before = [_unexplained(robot, aero, unravel(jnp.asarray(theta)), one) for one in logs]
+    rows = [_moving(one) for one in logs]
+
+    def solve(start: Any, linear: Any, counts: Sequence[int], step: int = 1) -> tuple[Any, Any]:
+        """Return numbers and their covariance in units of the prior, from the first samples of every log."""
+        spectra = []
+        for (left, slopes, air), weights, count in zip(linear, rows, counts, strict=True):
+            if count:
+                window, end = weights[:count:step], -(-count // step)
+                of = window[:, :, None] * np.concatenate([slopes[:end], air[:end, :, None]], axis=2)
+                left, by = _transformed(of, window * left[:end], step * period)
+                spectra.append((left, by[..., :-1], floor_of(robot, by[..., -1], unmodelled)))
+        theta = start.copy()
+        covariance: np.ndarray = np.zeros((sigma.size, sigma.size))
         for _ in range(WEIGHED):
-            # In units of the prior deviations.
             information, slope = np.eye(sigma.size), -theta[free] / sigma
             if weighed is not None and width[0] > 0.0:
                 mass = float(np.sum(robot.masses))
                 by_mass = sigma[0] * mass / weighed[1]
                 information[0, 0] += by_mass**2
                 slope[0] += by_mass * (weighed[0] - mass * (1.0 + theta[0])) / weighed[1]
-            for left, by in spectra:
+            for left, by, floor in spectra:
                 added = _information(left + by @ (theta - start)[free], sigma * by, floor, covariance)
                 information, slope = information + added[0], slope - added[1]
             covariance = np.linalg.inv(information)
             theta[free] += sigma * (covariance @ slope)
-    after = [np.asarray(_unexplained(robot, aero, unravel(jnp.asarray(theta)), one)) for one in logs]
-    whole = np.zeros((width.size, width.size))
-    whole[np.ix_(free, free)] = covariance * np.outer(sigma, sigma)
-    return Found(theta, np.sqrt(np.diag(whole)), width, whole, list(zip(before, after, strict=True)))
+        return theta, covariance
+
+    def linear(theta: Any, counts: Sequence[int], step: int = 1) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        guess = unravel(jnp.asarray(theta))
+        parts = [
+            Samples(*(part[: max(count, 1) : step] for part in one)) for one, count in zip(logs, counts, strict=True)
+        ]
+        still = guess._replace(air=-jnp.ones_like(guess.air))
+        found = []
+        for part in parts:
+            left = _unexplained(robot, aero, guess, part)
+            air = _unexplained(robot, aero, still, part) - left
+            found.append((left, _slopes(robot, aero, guess, part, chosen), air))
+        return found
+
+    theta, _ = solve(theta, linear(theta, known, COARSE), known, COARSE)
+    start, whole = theta, linear(theta, counts)
+    theta, covariance = solve(start, whole, known)
+    held_out = []
+    for (left, slopes, _), weights, count in zip(whole, rows, known, strict=True):
+        by = sigma * slopes[count:]
+        spread = np.sqrt(np.sum(by * (by @ covariance), axis=-1))
+        held_out.append((left[count:] + slopes[count:] @ (theta - start)[free], spread, weights[count:]))
+    theta, covariance = solve(start, whole, counts)
+    after = [left + slopes @ (theta - start)[free] for left, slopes, _ in whole]
+    full = np.zeros((width.size, width.size))
+    full[np.ix_(free, free)] = covariance * np.outer(sigma, sigma)
+    imitated, _ = ravel_pytree(prior._replace(com=jnp.full(3, COHERENT * np.sum(robot.masses) / robot.masses[0])))
+    full += np.diag(np.where(np.asarray(imitated) != width, imitated, 0.0) ** 2 * (width > 0.0))
+    return Found(theta, np.sqrt(np.diag(full)), width, full, list(zip(before, after, strict=True)), held_out)
 
 
 def expected(
@@ -266,11 +331,12 @@ def expected(
     """
     free = np.flatnonzero(found.prior > 0.0)
     sigma = found.prior[free]
-    slopes = np.asarray(_slopes(robot, aero, numbers, log, tuple(free.tolist())))
-    moving = _moving(log)
-    _, by = _transformed(moving[:, :, None] * slopes, moving, period)
+    slopes = _slopes(robot, aero, numbers, log, tuple(free.tolist()))
+    moving, still = _moving(log), numbers._replace(air=-jnp.ones_like(jnp.asarray(numbers.air)))
+    air = _unexplained(robot, aero, still, log) - _unexplained(robot, aero, numbers, log)
+    _, by = _transformed(moving[:, :, None] * np.concatenate([slopes, air[:, :, None]], axis=2), moving, period)
+    by, floor = by[..., :-1], floor_of(robot, by[..., -1])
     noise = np.broadcast_to(np.std(found.residuals[-1][1], axis=0), by.shape[:2])
-    floor = np.repeat(UNMODELLED, [3, 3, robot.n_joints])
     added, _ = _information(noise, sigma * by, floor, np.zeros((free.size, free.size)))
     known = np.linalg.inv(found.covariance[np.ix_(free, free)] / np.outer(sigma, sigma))
     left = np.zeros(found.prior.size)
@@ -278,17 +344,39 @@ def expected(
     return left
 
 
-@jax.jit
-def _unexplained(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[Array, "k N"]:
-    found: Array = jax.lax.map(lambda now: unexplained(robot, aero, numbers, now), samples, batch_size=CHUNK)
+def _unexplained(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N"]:
+    return _by_chunks(lambda part: _residuals(robot, aero, numbers, part)[0], samples)
+
+
+def _slopes(
+    robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples, chosen: tuple[int, ...]
+) -> Float[np.ndarray, "k N p"]:
+    """Return the derivatives of what is unexplained with respect to the chosen numbers."""
+    return _by_chunks(lambda part: _derivatives(robot, aero, numbers, part, chosen), samples)
+
+
+def _by_chunks(function: Callable[[Samples], Array], samples: Samples) -> np.ndarray:
+    """Return a function of samples, which is compiled for `CHUNK` of them only."""
+    count = len(samples.weight)
+    places = np.minimum(np.arange(max(-(-count // CHUNK), 1) * CHUNK), count - 1)
+    rows = [np.asarray(part)[places] for part in samples]
+    parts = [
+        np.asarray(function(Samples(*(part[place : place + CHUNK] for part in rows))))
+        for place in range(0, len(places), CHUNK)
+    ]
+    found: np.ndarray = np.concatenate(parts)[:count]
     return found
 
 
+@jax.jit
+def _residuals(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> tuple[Array, Array]:
+    return jax.vmap(lambda now: _inertial(robot, aero, numbers, now))(samples)
+
+
 @partial(jax.jit, static_argnames="chosen")
-def _slopes(
+def _derivatives(
     robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples, chosen: tuple[int, ...]
 ) -> Float[Array, "k N p"]:
-    """Return the derivatives of what is unexplained with respect to the chosen numbers."""
     whole, unravel = ravel_pytree(numbers)
     places = np.array(chosen)
 
@@ -298,15 +386,20 @@ def _slopes(
 
         return jax.jacfwd(of)(whole[places])
 
-    found: Array = jax.lax.map(one, samples, batch_size=CHUNK)
+    found: Array = jax.vmap(one)(samples)
     return found
 
 
 def _moving(samples: Samples) -> Float[np.ndarray, "k N"]:
-    """Return weights of the rows: a joint that may stick holds any torque up to its friction, and tells nothing."""
+    """Return weights of the rows: none in samples that are not covered, and little for a joint that may stick.
+
+    It holds any torque up to its friction, and tells nothing.
+    """
     speed = np.abs(np.asarray(samples.joint_velocity)) / MOVING
     weight = np.where(speed > 0.7, speed**4 / (1.0 + speed**4), 0.0)
-    return np.concatenate([np.ones((len(weight), 6)), weight], axis=1)
+    of_rows: np.ndarray = np.concatenate([np.ones((len(weight), 6)), weight], axis=1)
+    of_rows *= np.asarray(samples.weight)[:, None]
+    return of_rows
 
 
 def _transformed(
@@ -324,13 +417,13 @@ def _transformed(
 def _information(
     left: Complex[np.ndarray, "f N"],
     by: Complex[np.ndarray, "f N p"],
-    floor: Float[np.ndarray, " N"],
+    floor: Float[np.ndarray, "f N"],
     covariance: Float[np.ndarray, "p p"],
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, " p"]]:
     """Return information and slope of one log's likelihood.
 
-    In every band the spectrum is `floor`² and the mean square of what is left, over the degrees of freedom that
-    `covariance` leaves.
+    In every band the spectrum is the mean of `floor` and the mean square of what is left, over the degrees of freedom
+    that `covariance` leaves.
     """
     size = len(left)
     double = np.where(np.arange(size) == 0, 1.0, 2.0)  # a real and an imaginary part
@@ -340,10 +433,12 @@ def _information(
         power = np.sum(weight * np.abs(left[band]) ** 2, axis=0)
         slopes = by[band]
         freedom = np.full(power.size, weight.sum())
-        spectrum = power / freedom + floor**2
+        taking = np.sum(weight[:, :, None] * (slopes.conj() * (slopes @ covariance)).real, axis=(0, 2))
+        least = np.sum(weight * floor[band], axis=0) / weight.sum()
+        spectrum = power / freedom + least
         for _ in range(3):
-            taken = np.einsum("b,bNp,pq,bNq->N", weight[:, 0], slopes.conj(), covariance, slopes).real / spectrum
-            spectrum = power / np.maximum(freedom - taken, 0.25 * freedom) + floor**2
+            taken = taking / spectrum
+            spectrum = power / np.maximum(freedom - taken, 0.25 * freedom) + least
         scale = np.sqrt(weight / spectrum)
         slopes = (scale[:, :, None] * slopes).reshape(-1, by.shape[2])
         information += (slopes.conj().T @ slopes).real

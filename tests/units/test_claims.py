@@ -11,10 +11,11 @@ from experiments.report import judge, paper
 from experiments.report.judge import AGREES, Kind, Verdict
 from experiments.report.measures import Measured, results
 from experiments.report.results import Sweep
-from experiments.sweep import spec
+from experiments.sweep import columns, spec, table
 from experiments.sweep.criteria import Criterion, Share
 from experiments.sweep.intervals import wilson
 from jax_aero.base import places
+from jax_aero.base.result import LOST
 from jax_aero.base.terminal import ConfigError
 
 CLAIMS = paper._table().claim
@@ -211,7 +212,7 @@ AXES = ["controller", "speed"]
 def cell(completed=100, worst=4.0, **labels):
     low, high = wilson(completed, 100)
     errors = {"median": 2.0, "high": 2.0, "worst": worst}
-    counts = {"flights": 100, "completed": completed, "completed_low": low, "completed_high": high, "degraded": 0}
+    counts = {"flights": 100, "completed": completed, "completed_low": low, "completed_high": high}
     return labels | counts | {f"rotation_error_deg_{name}": value for name, value in errors.items()}
 
 
@@ -243,8 +244,7 @@ def test_a_claim_covers_the_cells_of_its_levels(chosen, count):
 def test_a_claim_says_its_bounds(name):
     for claim in paper.stated(name):
         said = [f"{limit:g}°" for limit in claim.at_most.values()]
-        if claim.share is not None:
-            said.append(f"at most {100.0 * claim.share.at_most:g} %" if claim.share.at_most else "no flight")
+        said += [f"at most {100.0 * one.at_most:g} %" if one.at_most else "no flight" for one in claim.share]
         assert not [bound for bound in said if f" {bound}" not in claim.states], claim.states
 
 
@@ -262,11 +262,31 @@ def test_a_claim_fails_with_one_of_its_cells_that_it_names():
 
 
 def test_a_share_is_that_of_all_cells_together():
-    some = [{"fell": 40, "diverged": 10, "unwarned": 1}, {"fell": 50, "diverged": 0, "unwarned": 1}]
-    asked = {"of": "unwarned", "among": ("fell", "diverged"), "at_most": 0.02}
-    assert judged(some, share=Share(**asked)) == ("unwarned 2 of 100 (0.6 to 7.0 %)", "agrees")
+    some = [{"lost": 50, "unwarned": 1}, {"lost": 50, "unwarned": 1}]
+    asked = {"share": (Share(of="unwarned", among="lost", at_most=0.02),)}
+    limit = "; not decided: 2 % is within the interval"
+    assert judged(some, **asked) == ("unwarned 2 of 100 (0.6 to 7.0 %); 3 would refute it", f"agrees{limit}")
     some[0]["unwarned"] = 2
-    assert judged(some, share=Share(**asked))[1] == "differs: unwarned 3 of 100 (1.0 to 8.5 %)"
+    assert judged(some, **asked)[1] == f"differs: 1 too many{limit}"
+    some[0]["unwarned"] = 7
+    assert judged(some, **asked)[1] == "differs: 6 too many"
+    assert judged([{"lost": 1000, "unwarned": 1}], **asked)[1] == "agrees"
+
+
+STATED = [claim for name in places.names("sweeps") for claim in paper.stated(name)]
+
+
+@pytest.mark.parametrize("lost", LOST)
+@pytest.mark.parametrize("claim", STATED, ids=[claim.key for claim in STATED])
+def test_a_claim_is_refuted_by_flights_that_are_all_lost_and_confirmed_by_those_that_all_succeed(claim, lost):
+    """In whatever way they are lost, without a warning where that is asked; the other way round if few may land."""
+    refuted = []
+    for outcome in (lost, "completed"):
+        measured = dict.fromkeys({*columns.QUANTITIES.values()}, np.zeros(2000))
+        found = {"outcome": np.full(2000, outcome), "degraded_time": np.full(2000, float(outcome == lost))}
+        made = results.of_cells([table._cell(measured | found)], [], claim)
+        refuted.append(judge.of_sweep("s", claim).judge(made.cases).kind is Kind.DIFFERS)
+    assert refuted == ([False, True] if [one.of for one in claim.share] == ["upright"] else [True, False])
 
 
 def test_a_claim_on_levels_that_a_sweep_has_not_is_refused():

@@ -2,14 +2,19 @@
 
 import hashlib
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import Refused, manifest
+from experiments import Refused, backends, manifest
 from experiments.report import keep, kept, pictures
-from experiments.report.judge import AGREES, Finding
+from experiments.report.judge import Kind
 from experiments.report.kept import Axis, Kept
+from experiments.sweep import spec
+from experiments.sweep.design import Design
+from experiments.sweep.intervals import wilson
+from jax_aero.base.result import UPRIGHT
 
 AXES = [Axis("controller", "controller", "", ["a", "b"]), Axis("speed", "wind speed", "m/s", [0.0, 10.0])]
 
@@ -118,19 +123,42 @@ def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
 def test_a_row_counts_every_outcome():
     ends = ["completed", "landed", "landing", "off_course", "crashed", "crashed", "fell", "diverged"]
     row = dict(zip(keep.FIGURES, keep.figures(flown(outcome=ends)).values(), strict=True))
-    assert (row["lost"], row["rotation_deg_worst"]) == (4, pytest.approx(2.0))
+    assert (row["lost"], row["rotation_deg_worst"]) == (6, pytest.approx(2.0))
     shown = [of(row) for of in kept._quantities(made_up(shows=[])).values()]
     assert shown == ["8", "1", "1", "1", "1", "2", "2"]
 
 
 def test_what_is_kept_is_read_again(tmp_path, monkeypatch):
-    document = made_up(claims={"k": Finding("all of 8", AGREES)}, states={"k": "It flies."})
+    document = made_up()
     (tmp_path / "made_up.json").write_text(kept.to_json(document), encoding="utf-8")
     monkeypatch.setattr(kept, "FOLDER", tmp_path)
     kept.read.cache_clear()
     assert kept.read("made_up") == document
-    assert kept.findings() == document.claims
+    assert kept.findings() == {}
     kept.read.cache_clear()
+
+
+def test_a_kept_verdict_is_that_of_its_rows_by_the_present_claims_of_the_present_sweep(monkeypatch):
+    """The judge, a bound or a configuration that changes changes it: nothing of it is kept."""
+    document = kept.read("robot_landing")
+    assert {one.verdict.kind for one in document.claims.values()} <= {Kind.AGREES, Kind.DIFFERS, Kind.IN_PART}
+    place = {name: document.columns.index(name) for name in ("completed", "landed", "lost", "flights")}
+    rows = [[*row] for row in document.rows]
+    for row in rows:
+        row[place["completed"]] = row[place["landed"]] = 0
+        row[place["lost"]] = row[place["flights"]]
+    fallen = msgspec.structs.replace(document, rows=rows)
+    assert {one.verdict.kind for one in fallen.claims.values()} == {Kind.DIFFERS}
+    other = msgspec.structs.replace(document, digest="of c0 = 5")
+    assert {one.verdict.kind for one in other.claims.values()} == {Kind.OUTDATED}
+    strict = {key: replace_most(one, 0.0) for key, one in document.stated.items()}
+    monkeypatch.setattr(kept.paper, "stated", lambda _: tuple(strict.values()))
+    assert document.claims["landing_arm"].verdict.kind is Kind.DIFFERS
+
+
+def replace_most(claim, at_most):
+    (share,) = claim.share
+    return msgspec.structs.replace(claim, share=(msgspec.structs.replace(share, at_most=at_most),))
 
 
 def test_cases_with_the_same_figures_are_a_table():
@@ -143,17 +171,36 @@ def test_cases_with_the_same_figures_are_a_table():
 
 # --- flown again
 
-SWEPT = [name for name in kept.names() if kept.read(name).result.startswith("sweeps/")]
+SWEPT = [name for name in kept.names() if any(kept.read(name).firsts)]
+ELSEWHERE = [name for name in kept.names() if kept.read(name).firsts and not any(kept.read(name).firsts)]
+FLOWN = 3
+"""Flights of a cell whose share is compared."""
+
+
+def pick(name, cells):
+    """The cell that the commit chooses."""
+    commit = (manifest.git_state() or {}).get("commit")
+    return cells[int(hashlib.sha256(f"{commit} {name}".encode()).hexdigest(), 16) % len(cells)]
 
 
 @pytest.mark.parametrize("name", SWEPT)
 def test_a_kept_sweep_flies_as_it_did(name):
     """The first flight of one cell, which the commit chooses. One that does not is flown anew, or withdrawn."""
     document = kept.read(name)
-    commit = (manifest.git_state() or {}).get("commit")
-    cells = [cell for cell, first in enumerate(document.firsts) if first]
-    cell = cells[int(hashlib.sha256(f"{commit} {name}".encode()).hexdigest(), 16) % len(cells)]
+    cell = pick(name, [cell for cell, first in enumerate(document.firsts) if first])
     assert keep.fly_again(document, cell) == document.firsts[cell], f"cell {cell}"
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_a_kept_sweep_whose_bits_are_those_of_its_processor_succeeds_as_often(name):
+    """By the intervals of its share and of that of some flights here, in a cell that the commit chooses."""
+    design = Design(spec.load(name))
+    cell = pick(name, range(len(design.cells)))
+    configs = [design.row_config(repeat * len(design.cells) + cell) for repeat in range(FLOWN)]
+    flown = backends.backend(design.spec.backend).fly_batch(configs)
+    here = wilson(sum(flight.outcome in UPRIGHT for flight in flown), FLOWN)
+    there = kept.read(name).cells()[cell]
+    assert max(here[0], there["upright_low"]) <= min(here[1], there["upright_high"]), cell
 
 
 def test_a_kept_sweep_of_other_cells_is_not_flown_again():

@@ -622,16 +622,19 @@ def test_a_cell_of_another_engine_is_refused_before_the_first_flight(change):
         ("completed", 0.0, {"completed", "upright", "on_course"}),
         ("completed", np.nan, {"completed", "upright"}),
         ("landed", 0.0, {"landed", "upright"}),
-        ("landing", 0.0, {"landing"}),
-        ("crashed", 0.0, {"crashed", "unwarned"}),
-        ("fell", 0.0, {"fell", "unwarned"}),
+        ("landing", 0.0, {"landing", "lost"}),
+        ("off_course", 0.0, {"off_course", "lost"}),
+        ("crashed", 0.0, {"crashed", "lost", "unwarned"}),
+        ("fell", 0.0, {"fell", "lost", "unwarned"}),
     ],
 )
 def test_a_flight_counts_by_how_it_ends(outcome, com_error, counted):
     """It comes down or is lost; one that ends within its start-up has no error of position, and is not on course."""
-    flights = dict.fromkeys({*columns.QUANTITIES.values(), "degraded_time"}, np.zeros(1))
-    found = table._cell(flights | {"outcome": np.array([outcome]), "max_com_error": np.array([com_error])})
-    assert {name for name in (*columns.OUTCOMES, *columns.SHARES, "unwarned") if found[name]} == counted
+    flights = dict.fromkeys(columns.QUANTITIES.values(), np.zeros(1)) | {"max_com_error": np.array([com_error])}
+    ended = {"lost_time": np.array([1.0 if "unwarned" in counted else np.nan]), "degraded_time": np.ones(1)}
+    found = table._cell(flights | ended | {"outcome": np.array([outcome])})
+    counts = (*columns.OUTCOMES, *columns.SHARES, "lost", "unwarned")
+    assert {name for name in counts if found[name]} - {"degraded"} == counted
     assert found["com_error_worst"] == (None if np.isnan(com_error) else com_error)
 
 

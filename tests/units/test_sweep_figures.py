@@ -11,7 +11,6 @@ from PIL import Image
 
 from experiments.identity import Identity
 from jax_aero.base.documents import Drawing
-from jax_aero.base.result import LOST
 from paper_figs import ablation, front, maps, pairs
 from paper_figs.ablation import _is_geometric
 from paper_figs.command import DRAWINGS, main
@@ -37,7 +36,7 @@ def write(folder, name, drawing, axes, panels="world"):
         record = {"cell": index, **dict(zip(axes, labels, strict=True)), "flights": 8, "errors": 0}
         for share in ("completed", "upright"):
             record |= {share: index % 9, f"{share}_low": 0.1, f"{share}_high": 0.9}
-        record |= {"landed": index % 4, "off_course": index % 2, "fell": index % 3}
+        record |= {"landed": index % 4, "off_course": index % 2, "fell": index % 3, "lost": index % 3}
         record |= dict.fromkeys(("landing", "crashed", "diverged", "unwarned"), 0)
         for quantity in ("rotation_error_deg", "com_error"):
             record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("p10", "median", "p90"))}
@@ -179,17 +178,17 @@ def test_a_map_keeps_the_row_of_a_level_without_any_number(tmp_path):
 
 
 def test_a_pair_is_as_bad_as_its_worst_flight():
-    """None, down, off course, lost with a warning, lost without one; what was not flown has no number."""
+    """None, landed, lost with a warning, lost without one; what was not flown has no number."""
     levels = ["a", "b", "c", "d"]
     ends = {
-        ("a", "b"): {}, ("a", "c"): {"off_course": 1}, ("a", "d"): {"landed": 2, "off_course": 1, "crashed": 1},
-        ("b", "c"): {"landed": 3}, ("b", "d"): {"fell": 2, "unwarned": 1}, ("c", "d"): {"landing": 1},
+        ("a", "b"): {}, ("a", "c"): {"lost": 1}, ("a", "d"): {"landed": 2, "lost": 1},
+        ("b", "c"): {"landed": 3}, ("b", "d"): {"lost": 2, "unwarned": 1}, ("c", "d"): {},
     }  # fmt: skip
-    none = dict.fromkeys((*pairs.COUNTS, *LOST), 0)
+    none = dict.fromkeys(pairs.COUNTS, 0)
     cells = [{"x": x, "x_2": y} | none | end for (x, y), end in ends.items()]
     found = pairs.worst(pd.DataFrame(cells), "x", levels)
     expected = np.full((4, 4), np.nan)
-    expected[0, 1:], expected[1, 2:], expected[2, 3] = (0, 3, 4), (1, 5), 2
+    expected[0, 1:], expected[1, 2:], expected[2, 3] = (0, 2, 2), (1, 3), 0
     np.testing.assert_array_equal(found, expected)
 
 

@@ -10,7 +10,8 @@ from experiments.flight import PAPER_RUNS
 from experiments.report.measures import Measured, one
 from experiments.report.measures.standing import standing
 from experiments.report.results import Cell, Results, count
-from experiments.sweep.criteria import Criterion
+from experiments.sweep.columns import SHARES
+from experiments.sweep.criteria import Criterion, Share
 from experiments.sweep.intervals import wilson
 
 RIGHT, HEAD, PUBLISHED = (
@@ -297,26 +298,31 @@ def cells(results: Results, *, name: str, claim: Criterion) -> Measured:
 
 
 def of_cells(cells: list[Cell], axes: Iterable[str], claim: Criterion) -> Measured:
-    """Return flights that end otherwise and bounded quantities of the cells that decide a claim, by cell."""
+    """Return shares of flights, or flights that do not succeed and bounded quantities by cell."""
     if not cells:
         raise LookupError(f"no cell of the claim `{claim.key}`")
-    if claim.share is not None:
-        part, whole = (
-            sum(int(cell[key]) for cell in cells for key in keys) for keys in ((claim.share.of,), claim.share.among)
-        )
-        text = f"{claim.share.of} {_interval(part, whole)}"
-        return Measured({text: {"above": part - claim.share.at_most * whole}}, text)
+    if claim.share:
+        return Measured(found := dict(_share(cells, share) for share in claim.share), "; ".join(found))
     varying = [axis for axis in axes if len({cell[axis] for cell in cells}) > 1]
-    ended, flights = (sum(int(cell[key]) for cell in cells for key in keys) for keys in (claim.outcomes, ("flights",)))
-    said = [f"{_interval(ended, flights)} {' or '.join(claim.outcomes)}", *_ranges(cells, claim.at_most)]
+    ended, flights = (sum(int(cell[key]) for cell in cells) for key in (claim.success, "flights"))
+    said = [f"{_interval(ended, flights)} {SHARES[claim.success]}", *_ranges(cells, claim.at_most)]
     return Measured(dict(_by_cell(cells, varying, claim)), "; ".join(said))
+
+
+def _share(cells: list[Cell], share: Share) -> tuple[str, dict[str, Any]]:
+    """Return a share with its interval and the least count that refutes it, and by how many flights it is too great."""
+    part, whole = (sum(int(cell[key]) for cell in cells) for key in (share.of, share.among))
+    most, (low, high) = int(share.at_most * whole + 1e-9), wilson(part, whole)
+    text = f"{share.of} {_interval(part, whole)}; {most + 1} would refute it"
+    is_decided = not low < share.at_most < high
+    return text, {"above": part - most, "limit": 100.0 * share.at_most, "is_decided": is_decided}
 
 
 def _by_cell(cells: list[Cell], varying: list[str], claim: Criterion) -> Iterator[tuple[str, dict[str, Any]]]:
     for cell in cells:
         levels = [f"{cell[axis]:g}" if isinstance(cell[axis], float) else str(cell[axis]) for axis in varying]
-        others = cell["flights"] - sum(int(cell[outcome]) for outcome in claim.outcomes)
-        missed = f"{others} of {cell['flights']} not {' or '.join(claim.outcomes)}"
+        others = cell["flights"] - cell[claim.success]
+        missed = f"{others} of {cell['flights']} not {SHARES[claim.success]}"
         limited = {} if others else {column: cell[column] for column in claim.at_most}
         texts = {f"{column}_text": _value(column, value) for column, value in limited.items()}
         yield ", ".join(levels), {"others": others, "missed": missed, **limited, **texts}

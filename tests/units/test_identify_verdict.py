@@ -1,0 +1,190 @@
+"""Logs that a robot's model does not explain, and samples that its equations do not cover."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import Refused
+from experiments.identify import command, samples
+from experiments.sweep.perturbation import Perturbation
+from jax_aero import rust
+from jax_aero.body.robot import load_robot
+from jax_aero.body.spatial import wxyz_from_rotation
+from tests.units import test_any_robot
+
+SENSORS = {
+    "seed": 1, "base_position": {"noise_std": 0.005}, "base_linear_velocity": {"noise_std": 0.02},
+    "base_rotation": {"noise_std": 0.002}, "base_angular_velocity": {"noise_std": 0.005},
+    "joints": {"resolution": 0.0015}, "thrust": {"noise_std": 0.3},
+}  # fmt: skip
+WIDTHS = Perturbation(
+    drag=0.2, mass=0.1, com=0.02, inertia=0.2, thrust_axis_deg=2.0, thrust_gain=0.1, imu_deg=2.0, encoders_deg=2.0,
+    friction=2.0,
+)  # fmt: skip
+FLIP = np.diag([1.0, -1.0, -1.0])
+SWAPPED = [0, 1, 3, 2, 4]
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Configuration and log of a flight with sensors, of a robot whose file is right."""
+    config = test_any_robot.sparrow()
+    config["simulator"] |= {"sensors": SENSORS, "duration": 16.0}
+    flight = rust.fly(config)
+    assert flight.outcome == "completed"
+    return config, dict(flight.log)
+
+
+def identified(config, log):
+    source = Path(config["robot"])
+    robot = load_robot(source)
+    prior = command.prior_of(robot, WIDTHS, 0.0 if samples.is_measured(log) else command.WIND)
+    return command.identify_robot(config, source, [log], prior, float(np.sum(robot.masses))), prior
+
+
+def scaled(name, factor, part=slice(None)):
+    def change(log):
+        rows = log[name].copy()
+        rows[:, part] *= factor
+        return {name: rows}
+
+    return change
+
+
+def late(name):
+    return lambda log: {name: np.roll(log[name], 20, axis=0)}
+
+
+WRONG = {
+    "thrusts in kgf": scaled("raw_thrust", 1.0 / 9.80665),
+    "joint positions in degrees": scaled("raw_joint_position", np.degrees(1.0)),
+    "velocities in mm/s": scaled("raw_base_velocity", 1e3, slice(3)),
+    "rates of turn in deg/s": scaled("raw_base_velocity", np.degrees(1.0), slice(3, 6)),
+    "quaternions as x, y, z, w": lambda log: {
+        "raw_base_rotation": rust.rotation_from_wxyz(
+            np.roll(np.asarray(wxyz_from_rotation(log["raw_base_rotation"])), -1, axis=1)
+        )
+    },
+    "sign of gravity": lambda log: {
+        "raw_base_rotation": FLIP @ log["raw_base_rotation"],
+        "raw_base_velocity": log["raw_base_velocity"] @ np.kron(np.eye(2), FLIP),
+        "raw_base_position": log["raw_base_position"] @ FLIP,
+        "raw_wind": log["raw_wind"] @ FLIP,
+    },
+    "swapped jets back_jet and l_jet": lambda log: {"raw_thrust": log["raw_thrust"][:, [1, 0, 2]]},
+    "swapped joints waist and l_shoulder": lambda log: {"raw_joint_position": log["raw_joint_position"][:, SWAPPED]},
+    "swapped torques of joints waist and l_shoulder": lambda log: {"joint_torque": log["joint_torque"][:, SWAPPED]},
+    "thrusts about 0.2 s late": late("raw_thrust"),
+    "attitude about 0.2 s late": late("raw_base_rotation"),
+    "a clock that runs 1.25 times": lambda log: {"time": 1.25 * log["time"]},
+    "a load": lambda log: {"raw_thrust": 0.8 * log["raw_thrust"]},
+}
+"""Logs with one mistake each, by what is named."""
+NAMED = (
+    "thrusts in kgf",
+    "quaternions as x, y, z, w",
+    "sign of gravity",
+    "swapped jets back_jet and l_jet",
+    "a load of",
+)
+"""Those that are looked for, which takes seconds each."""
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_log_of_the_files_robot_is_believed(flown):
+    known, _ = identified(*flown)
+    assert known.verdict.rows_broken == []
+    assert known.verdict.is_believed
+    assert known.left_out == {}
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_log_is_not_believed_and_the_mistake_is_named(flown, name):
+    config, log = flown
+    log = {**log, **WRONG[name](log)}
+    known, prior = identified(config, log)
+    assert not known.verdict.is_believed
+    if name in NAMED:
+        source = Path(config["robot"])
+        found = command.mistake(known, config, source, [log], prior, float(np.sum(known.robot.masses)))
+        assert found is not None
+        assert name in found
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_log_without_an_anemometer_has_a_wind_to_find(flown):
+    """Still air would be 2 m/s off; of a robot that hardly drifts the wind is told from small forces."""
+    config, log = flown
+    known, prior = identified(config, {**log, "raw_wind": np.full_like(log["raw_wind"], np.nan)})
+    assert known.verdict.is_believed
+    names = [name for name, *_ in command.labels(known.robot)]
+    place = names.index("wind.y")
+    low, high = (ends[place] for ends in command.intervals(known.robot, known.found))
+    assert prior.wind[1] == command.WIND
+    assert low < -2.0 < high
+    assert known.found.share[place] > 0.5
+
+
+def left_out(flown, change):
+    config, log = flown
+    robot = rust.Robot(config["robot"])
+    log = {name: rows.copy() for name, rows in log.items()} | {"foot_wrench": np.zeros((log["time"].size, 2, 6))}
+    change(log)
+    _, reasons = samples.sample(samples.check(log, "log", robot), config, robot)
+    return reasons
+
+
+def put(name, rows, value):
+    def change(log):
+        log[name][rows] = value
+
+    return change
+
+
+def jump(log):
+    log["raw_base_position"][500:] += [1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (put("raw_thrust", 500, np.nan), "rows lost"),
+        (put("joint_torque", 500, np.nan), "rows lost"),
+        (put("raw_thrust", (500, 1), 0.5), "engines idle"),
+        (put("joint_torque", (500, 2), 1e9), "commands saturated"),
+        (jump, "odometry jumps"),
+        (put("foot_wrench", 500, 50.0), "feet loaded"),
+    ],
+)  # fmt: skip
+def test_samples_that_the_equations_do_not_cover_are_left_out_and_counted(flown, change, reason):
+    """Smoothing and delays spread one row to five samples about it."""
+    assert left_out(flown, dict.copy) == {}
+    assert left_out(flown, change) == {reason: pytest.approx(5, abs=1)}
+
+
+def test_the_ground_is_told_from_thrust_and_acceleration():
+    """A robot stands until nothing but its thrusts carries it; of one that never flies nothing is told."""
+    load = np.r_[np.full(30, 0.9), np.linspace(0.9, 0.0, 10), np.full(60, 0.01)]
+    found = samples.grounded(load, np.zeros(100))
+    assert found[:38].all()
+    assert not found[40:].any()
+    assert not samples.grounded(np.full(100, 0.9), np.zeros(100)).any()
+    assert not samples.grounded(load, np.full(100, 2.0)).any()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda log: log.pop("joint_torque"), "has no `joint_torque`"),
+        (lambda log: log.update(time=1e-3 * log["time"]), "expected at least 3 s"),
+        (put("raw_joint_position", (3, 0), 40.0), "`l_hip` .* reaches 40; expected .* (deg?)"),
+        (put("raw_thrust", slice(None), np.nan), "has no `raw_thrust`"),
+    ],
+)
+def test_a_log_that_does_not_suffice_is_refused(flown, change, expected):
+    with pytest.raises(Refused, match=expected.replace("(", r"\(").replace(")", r"\)").replace("?", r"\?")):
+        left_out(flown, change)
