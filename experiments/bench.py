@@ -2,7 +2,8 @@
 
 All use the same states and problems, which the crate's benchmark `side_by_side` writes to `target/side_by_side`.
 They are separate compiled programs, which run in turns.
-Prints the Markdown tables of `docs/embedding.md`.
+Prints the Markdown tables of `docs/embedding.md`. A tick is compared with Pinocchio and two DAQP solutions together:
+the status is 1 if that ratio is more than 5 % above the stored one (`bench.json`), which `--store` replaces.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import os
 import platform
 import sys
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from experiments import Refused, manifest
 from experiments.bench_native import (
@@ -29,6 +31,8 @@ from experiments.bench_native import (
 from jax_aero.base import files
 from jax_aero.cli import count
 
+STORED, SLACK = Path(__file__).with_suffix(".json"), 1.05
+RATIO = "whole tick, p50 / (Pinocchio + DAQP + DAQP)"
 DYNAMICS = ("dynamics, without Jacobians", "dynamics, with 17 frame Jacobians")
 
 
@@ -37,6 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m experiments.bench", description=__doc__)
     parser.add_argument("--turns", type=count, default=5, help="number of runs of every native program (default 5)")
     parser.add_argument("--native", action="store_true", help="compile for this processor, not any x86-64")
+    parser.add_argument("--store", action="store_true", help=f"store the ratio of a tick in {STORED.name}")
     given = parser.parse_args(arguments)
     try:
         with files.lock_work(FOLDER):  # two benchmarks at once would measure each other
@@ -46,11 +51,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _print_native(ours, others, programs.missing)
             print("\n## Whole tick\n")
             print(tick.strip())
-            _print_targets(ours, others, tick)
+            ratio = _print_targets(ours, others, tick)
     except Refused as reason:
         print(f"error: {reason}", file=sys.stderr)
         return 2
-    return 0
+    if given.store and ratio is not None:
+        commit = (manifest.git_state() or {}).get("commit", "")
+        files.write_json(STORED, {RATIO: round(ratio, 3), "commit": commit[:8]})
+    return int(ratio is not None and ratio > SLACK * stored())
+
+
+def stored() -> float:
+    """Return the stored ratio of a tick."""
+    return float(files.read_json(STORED)[RATIO])
 
 
 # --- tables --------------------------------------------------------------------------------------------------------
@@ -111,8 +124,11 @@ def _best_time(times: Times, names: Sequence[str]) -> float | None:
     return sum(map(min, ways)) if all(ways) else None
 
 
-def _print_targets(ours: Times, others: Times, tick: str) -> None:
-    """Print the targets and whether they are met, relative to the shortest times of the other libraries."""
+def _print_targets(ours: Times, others: Times, tick: str) -> float | None:
+    """Print the targets and whether they are met, relative to the shortest times of the other libraries.
+
+    Return the ratio of a tick, if it was measured.
+    """
     print("\n## Targets\n\n| | measured | target | met |\n|---|---|---|---|")
     warm = [f"{name}, warm" for name in (*QPS, *PLANS)]
     by_case = {case: [f"{name}, warm" for name in QPS_OF_TICK if case in name] for case in ("calm", "saturated")}
@@ -127,9 +143,10 @@ def _print_targets(ours: Times, others: Times, tick: str) -> None:
             ratio = sum(ours[name] for name in names) / other
             print(f"| {what} | {ratio:.2f} | {target} | {_yes_or_no(ratio <= target)} |")
     p50, p999, own_p999 = tick_times(tick)
+    of_tick = None
     if (other := _best_time(others, [DYNAMICS[1], *by_case["calm"]])) is not None:
-        ratio = 1e3 * p50 / other
-        print(f"| whole tick, p50 / (Pinocchio + DAQP + DAQP) | {ratio:.2f} | 0.8 | {_yes_or_no(ratio <= 0.8)} |")
+        of_tick, allowed = 1e3 * p50 / other, SLACK * stored()
+        print(f"| {RATIO} | {of_tick:.2f} | {allowed:.2f}, as stored | {_yes_or_no(of_tick <= allowed)} |")
     for what, tail in (("", own_p999), (", interruptions of the program included", p999)):
         print(f"| whole tick, p99.9 / p50{what} | {tail / p50:.2f} | 2.5 | {_yes_or_no(tail <= 2.5 * p50)} |")
     for case in CASES_OF_PLANS:
@@ -141,6 +158,7 @@ def _print_targets(ours: Times, others: Times, tick: str) -> None:
     print(f"| shipped network, links placed | {network:.1f} µs | 6 µs | {_yes_or_no(network <= 6)} |")
     flight = ours["flight of 50 s"] / 1e9
     print(f"| flight of 50 s, one core | {flight:.3f} s | 0.25 s | {_yes_or_no(flight <= 0.25)} |")
+    return of_tick
 
 
 def _yes_or_no(yes: bool) -> str:

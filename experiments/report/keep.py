@@ -128,7 +128,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     if name := find_damaged(folder, document["finished"]["files"]):
         raise Refused(f"{os.path.relpath(folder / name)} is not what was written there; --overwrite flies it again")
     if document["backend"] == "jax":
-        raise Refused(f"{os.path.relpath(folder)} is flown by JAX, which does not say what the guard finds")
+        raise Refused(f"{os.path.relpath(folder)} is flown by JAX, which does not say what fault detection finds")
     asked = spec.load(folder.name) if folder.name in places.names("sweeps") else None
     tabled = asked.tabled if asked else spec.Tabled()
     is_paired, is_sampled = document["design"] == "pairs", asked is not None and asked.is_sampled

@@ -28,8 +28,8 @@ from jax_aero.base.result import LOST, UPRIGHT, FlightResult
 Cells: TypeAlias = Sequence[tuple[Level, ...]]
 """The levels of all axes, for each cell of a sweep."""
 
-OF_GUARD = ("degraded_time", "nominal_until", "all_modes", "warning_time")
-"""Those of what the guard finds, which flights of JAX do not have: its guard finds nothing."""
+OF_DETECTION = ("degraded_time", "nominal_until", "all_modes", "warning_time")
+"""Those of what fault detection finds, which flights of JAX do not have."""
 
 ON_COURSE_ROTATION = 15.0
 ON_COURSE_COM = 0.25
@@ -74,7 +74,7 @@ def rows(
             record |= {"outcome": "error", "error": flown.reason}
         else:
             record |= {"outcome": flown.outcome, "lost_time": flown.lost_time, "lost_reason": flown.lost_reason}
-            unknown = OF_GUARD if spec.backend == "jax" else ()
+            unknown = OF_DETECTION if spec.backend == "jax" else ()
             record |= {name: x for name, x in quantities.in_columns(flown.summary).items() if name not in unknown}
         records.append(record)
     return pa.Table.from_pylist(records, schema(spec, levels))

@@ -4,7 +4,7 @@
 
 `tick.py` has the sequence: `momentum_controller` collects its numbers from a configuration, `init` returns the initial
 state, and `tick` is called once per tick. The other modules are its parts, with the names of the Rust crate's modules;
-of its guard there are estimator and observers (`guard`), not what watches for failures. The simulator accepts any
+of its estimation there are estimator and observers (`estimate`), not what detects faults. The simulator accepts any
 `Controller`.
 """
 

@@ -23,7 +23,7 @@ class Measurement(NamedTuple):
     preview: Preview = Preview()
     """What is known of the future."""
     thrust_rate: Float[Array, " j"] | None = None
-    """Rates of the thrusts, which the crate's guard predicts, for a plan with engines; `None` for zero [N/s]."""
+    """Rates of the thrusts, which the crate predicts, for a plan with engines; `None` for zero [N/s]."""
 
 
 class Reading(NamedTuple):

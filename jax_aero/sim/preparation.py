@@ -42,10 +42,10 @@ def prepare(
 ) -> tuple[Scenario, FlightState]:
     """Return a scenario and its state at the first tick. Call it outside loops, since it computes tables and noise.
 
-    The guard, which finds failures and answers them, is the crate's alone. Its detectors (`controller.channels`,
+    Fault detection is the crate's alone: its detectors (`controller.channels`,
     `controller.fault_detection`, `mpc.descent`) do nothing here: a flight is the crate's as
     long as the crate's signal `degraded_modes` has no mode but those of solvers. Refused by key, since the crate alone
-    flies them (`backend = "rust"`), are failures that a guard answers: outages, faulty joints, and jets that
+    flies them (`backend = "rust"`), are faults that it answers: outages, faulty joints, and jets that
     fail or do not reach their thrust if the controller has `fault_detection.engines`; so are fuel, ground, motors and
     torques of a second rate.
 
@@ -156,7 +156,7 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
     }
     for key, given in unanswered.items():
         if given:
-            yield f"disturbances.{key}", "given", f"none: JAX has no guard that answers it; {by_crate}"
+            yield f"disturbances.{key}", "given", f"none: JAX has no fault detection; {by_crate}"
 
 
 def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:

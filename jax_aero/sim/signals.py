@@ -19,7 +19,7 @@ FlightRow: TypeAlias = dict[str, Array]
 """One tick of the log: the signals of `rust.signals` that are computed, which depends on the controller.
 
 All that follows from a state that is not finite is NaN. `complete` makes signals that are not computed NaN in the log,
-as compiled code without NaN is what `jax_debug_nans` demands. Of what the crate's guard finds, the condition of joints
+as compiled code without NaN is what `jax_debug_nans` demands. Of what fault detection finds, the condition of joints
 is that of healthy ones, and latencies are not known.
 """
 

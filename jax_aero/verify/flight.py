@@ -55,7 +55,7 @@ OF_SOLVERS = sum(rust.MODES[name] for name in ("plan_kept", "plan_missing", "mom
 """Bits of the modes that JAX has as well."""
 
 NOT_COMPARED = ("qp_iterations", "qp_kkt", "measured_torque_latency", "measured_thrust_latency")
-"""Signals that belong to a solver, or that the crate's guard alone measures."""
+"""Signals that belong to a solver, or that the crate alone measures."""
 
 CARRIED = 100
 """Ticks for which memory carries a rounding on: 1 s."""
@@ -98,7 +98,7 @@ class Verified:
     rows
         Comparisons of all signals.
     ticks
-        Number of ticks compared: those before the crate's guard acts.
+        Number of ticks compared: those before the crate's fault detection acts.
     until
         Time up to which the flight from its start is compared [s].
     scenario, sections
@@ -274,7 +274,7 @@ def _round_velocities(
 def compare_ticks(
     crate: FlightResult, twin: FlightResult, rounded: Mapping[str, NDArray[np.float64]], group: str = "tick"
 ) -> tuple[int, list[Row]]:
-    """Compare a flight with JAX's of the same ticks, up to the first in which the guard acts; return their number too.
+    """Compare a flight with JAX's of the same ticks, up to the first in which fault detection acts, with their number.
 
     `rounded` is what `replay_rounded` returns.
     """
@@ -289,7 +289,7 @@ def compare_ticks(
 
 
 def ticks_unguarded(crate: FlightResult) -> int:
-    """Return the number of ticks before the crate's guard acts."""
+    """Return the number of ticks before the crate's fault detection acts."""
     modes = crate["degraded_modes"].astype(int)
     return int(np.argmax([*(modes & ~OF_SOLVERS > 0), True]))
 

@@ -1,8 +1,8 @@
 """The law alone, along a flight of the crate: for what the crate alone flies.
 
-Before each tick the law of both languages is given what the crate's guard hands to it: estimates of state, thrusts,
+Before each tick the law of both languages is given what the crate estimates: estimates of state, thrusts,
 their rates and wind, and the observed wrench. JAX keeps the law's memory: set-point, posture, plan, integral and last
-torques. Compared up to the first tick in which the guard changes what the law may do.
+torques. Compared up to the first tick in which fault detection changes what the law may do.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def follow_law(params: MomentumController, model: RobotModel, flown: Recorded) -
 
 
 def compare_law(config: Mapping[str, Any], flown: Recorded, signals: Mapping[str, Any]) -> list[Row]:
-    """Compare the signals of the law with the crate's, in the ticks before the guard acts."""
+    """Compare the signals of the law with the crate's, in the ticks before fault detection acts."""
     crate = flown.crate
     return compare_signals("law", crate, signals, replay_rounded(config, crate, crate), ticks_unguarded(crate))
 

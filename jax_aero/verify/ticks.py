@@ -44,7 +44,7 @@ def compare_ticks(config: Mapping[str, Any], samples: Sequence[Sample], ours: Ma
     rng = np.random.default_rng(0)
     theirs = crate_ticks(config, samples)
     near = crate_ticks(config, [round_sample(rng, sample) for sample in samples])
-    # Where the guard acts on the jump between two samples, JAX has nothing to compare.
+    # Where fault detection acts on the jump between two samples, JAX has nothing to compare.
     alike = [not (one.degraded_modes or other.degraded_modes) for one, other in zip(theirs, near, strict=True)]
 
     def compare_all(name: str) -> Row:

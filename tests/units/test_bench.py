@@ -33,6 +33,13 @@ TICK = "| | | | | | | |\n| tick, TEST2 | 0 | 12.0 us | 0 | 36.0 us | 0 | 30.0 us
 )
 
 
+@pytest.fixture(autouse=True)
+def stored_ratio(monkeypatch):
+    """A tick may take four fifths of what the others take."""
+    monkeypatch.setattr(bench, "stored", lambda: 0.8)
+    monkeypatch.setattr(bench, "SLACK", 1.0)
+
+
 def targets(capsys, ours=OURS, others=PINOCCHIO | DAQP):
     bench._print_targets(ours, others, TICK)
     rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]

@@ -296,7 +296,7 @@ def test_a_cell_that_cannot_fly_is_refused_before_the_first_flight(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"simulator": {"duration": 1.0}}, "`controller.time_step` is missing"),
+        ({"simulator": {"duration": 1.0}}, "`simulator.aero` is missing"),
         ({"simulator.initial.thrust": 5.0}, "`simulator.initial.thrust` is 5.0; expected a list"),
         ({"wind.velocity": 5.0}, "`wind.velocity` is 5.0; expected a list of 3"),
         ({"wind.velocity": 5.0, "wind.speed": 3.0}, "to set wind.speed: `wind.velocity` is 5.0; expected a list of 3"),
@@ -645,7 +645,7 @@ def test_what_the_guard_finds_is_unknown_of_jax():
         made = design(backend=backend, repeats=1)
         flown = table.rows(made.spec, made.cells, [0], [made.row_config(0)], [result])
         row = flown.to_pylist()[0]
-        assert {row[name] for name in table.OF_GUARD} == {known}
+        assert {row[name] for name in table.OF_DETECTION} == {known}
         cell = table._cell({name: flown[name].to_numpy(zero_copy_only=False) for name in flown.column_names})
         assert (cell["degraded"], cell["completed"]) == (known, 1)
 

@@ -126,7 +126,7 @@ def test_wrong_twins_are_refused(experiment):
 
 
 def test_a_wrong_law_is_refused():
-    """In half a second of the recommended controller, given what the crate's guard hands to it."""
+    """In half a second of the recommended controller, given what the crate estimates."""
     config = rust.load_config("robot", {"simulator.duration": 0.5})
     flown, (params, model) = law.fly_and_record(config), law.law_of(config)
 

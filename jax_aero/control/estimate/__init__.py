@@ -1,1 +1,1 @@
-"""The guard of the law: which measurements are used, what replaces the others, and what is known of disturbances."""
+"""What is estimated from measurements: the state, disturbances and the wind."""

@@ -1,6 +1,6 @@
-"""The crate with its whole guard flies as JAX without one while nothing fails, and as itself without one.
+"""The crate with its fault detection flies as JAX without it while nothing fails, and as itself without one.
 
-What the guard is there to answer, JAX refuses.
+What fault detection answers, JAX refuses.
 """
 
 from __future__ import annotations
