@@ -106,7 +106,8 @@ def controller(
     bounds |= {"thrust_rate_max": reach, "thrust_steepness": 100.0 / max(reach.values(), default=100.0)}
     table["setpoint"]["nose_down_limits_deg"] = [*leans]
 
-    descent = table.get("engines", {}).get("descent", {})
+    engines = table["fault_detection"].get("engines") or {}
+    descent = engines.get("descent", {})
     slowest = float(np.degrees(np.asarray(robot.joint_velocity_max)[robot.joint_turns > 0.0].min(initial=np.inf)))
     for limited in (bounds, descent) if descent else (bounds,):
         limited["joint_velocity_max_deg"] = min(JOINT_VELOCITY, slowest)
@@ -117,10 +118,10 @@ def controller(
     for gains in (table["momentum"], descent.get("momentum", {})):
         for key in gains.keys() & {"c0", "c1"}:
             gains[key] *= of_inertia
-    if observer := table.get("observer"):
+    if observer := table.get("disturbance_observer"):
         observer["force_max"] *= mass / MASS
         observer["moment_max"] *= of_inertia
-    if engines := table.get("engines"):
+    if engines:
         engines["deviation_max"] *= float(np.mean([*thrust_max.values()] or [0.0])) / THRUST
     if mpc := table.get("mpc"):
         _predictive(mpc, robot, of_force, soles)
@@ -165,7 +166,6 @@ wind = {{ base = {path_of("wind", wind)} }}
 
 [simulator]
 duration = {duration!r}
-time_step = 0.01
 aero = {{ base = {path_of("aero", AIR.stem)}, coefficients = "estimated" }}
 jets = {{ dynamics = "ideal" }}
 fall = {{ rotation_error_deg = 90.0, com_error = 1.0 }}
