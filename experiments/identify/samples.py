@@ -60,6 +60,8 @@ def read(path: Path, mapping: Path | None, config: rust.Config, robot_file: str)
 
 def check(signals: Mapping[str, Array], log: str, robot: rust.Robot) -> dict[str, Array]:
     """Return the signals of a log with all that samples need, or refuse it."""
+    if not robot.joint_names:
+        signals = {**signals, "joint_torque": np.zeros((signals["time"].size, 0))}
     for name in MEASURED:
         if name not in signals or not np.isfinite(signals[name]).all(axis=tuple(range(1, signals[name].ndim))).any():
             raise Refused(f"`{log}` has no `{name}`; expected measurements and commands")

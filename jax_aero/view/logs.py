@@ -274,11 +274,11 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
         ticks between its first and its last one.
     """
     needed = [QUATERNION if name not in log.signals and name == "raw_base_rotation" else name for name in NEEDED]
-    needed += also
+    needed = [name for name in [*needed, *also] if robot.joint_names or "joint" not in name]
     if lacking := [name for name in needed if name not in log.signals]:
         names = ", ".join(f"`{name}`" for name in lacking).replace(QUATERNION, "raw_base_rotation")
         raise Refused(f"`{path}` has no {names}; expected what a tick is given")
-    stamps = log.signals["raw_joint_position"][0].times
+    stamps = log.signals["raw_joint_position" if robot.joint_names else "raw_base_position"][0].times
     rows = _check_times(stamps, path)
     spans = [(*_span(one, name, path), name) for name in needed for one in log.signals[name]]
     (begin, last, late), (first, end, early) = max(spans), min(spans, key=lambda span: span[1])
@@ -313,6 +313,8 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
         else:
             shape = [len(names) for names in recording.axes_of(name, robot)]
             found[name] = flat.reshape(ticks.size, *shape)
+    if not robot.joint_names:
+        found["raw_joint_position"] = np.zeros((ticks.size, 0))
     times = ticks - ticks[0]
     if not is_denser and "time" in found:
         # The stamps of messages are rounded, the times that they state are not.
