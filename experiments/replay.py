@@ -105,7 +105,7 @@ def replay(log: logs.Log, config: rust.Config, path: Path) -> tuple[Mapping[str,
     """Return the signals of a log, and those that the controller computes from it, at the law's ticks that it holds."""
     steps = int(rust.resolve_config(config)["controller"]["torque"]["steps"])
     period = float(config["controller"]["time_step"]) / steps
-    log = _on_its_feet(log, config)
+    log = on_its_feet(log, config)
     needed = () if config["controller"].get("estimator") else ("raw_joint_velocity",)
     try:
         recorded, is_recorded = logs.at_ticks(log, rust.Robot(config["robot"]), period, path, also=needed)
@@ -120,7 +120,7 @@ def replay(log: logs.Log, config: rust.Config, path: Path) -> tuple[Mapping[str,
     )
 
 
-def _on_its_feet(log: logs.Log, config: rust.Config) -> logs.Log:
+def on_its_feet(log: logs.Log, config: rust.Config) -> logs.Log:
     """Return a log with what a standing robot need not measure.
 
     The base follows from the joints, the first sole being flat and at rest at the origin of the inertial axes; jets
