@@ -907,7 +907,7 @@ class Csv(NamedTuple):
 
 
 def read_csv(content: bytes | str, file: str, columns: Mapping[str, str], key: str = "") -> Csv:
-    """Read columns of a table in text: the one dialect of all tables, which `docs/conventions.md` states.
+    """Read columns of a table in text: the one dialect of all tables, which `docs/reference.md` states.
 
     Parameters
     ----------

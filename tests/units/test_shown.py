@@ -15,7 +15,7 @@ FLIGHT = rust.fly(CONFIG)
 
 
 class Hover:
-    """A controller that keeps the robot for its masses, as that of `docs/howto/controller.md`."""
+    """A controller that keeps the robot for its masses, as that of `docs/own_controller.md`."""
 
     def __init__(self, config):
         self.robot = rust.Robot(config["robot"])

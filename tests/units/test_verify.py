@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, verify
-from jax_aero.verify import cli, compare, flight, reach
+from jax_aero.verify import cli, compare, flight, library, reach
 from jax_aero.verify import ticks as verify_ticks
 
 
@@ -175,6 +175,7 @@ def compared(monkeypatch):
         rows = [compare("flight", "wind", [0.0], [0.0], 1e-6, relative=False)]
         return SimpleNamespace(rows=rows, share=0.998, until=12.34, scenario=None, sections=[])
 
+    monkeypatch.setattr(library, "find", lambda: None)
     monkeypatch.setattr(cli, "verify_robots", robots)
     monkeypatch.setattr(reach, "unreached", lambda *_: ["fall.com_error"])
     monkeypatch.setattr(verify_ticks, "verify_ticks", ticks)
@@ -195,6 +196,7 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert row("flight", "wind", " 0.0e+00", " 0.0e+00", "1e-06 abs") in printed
     assert "compared: 99.8% of the ticks, the flight up to 12.34 s" in printed
     assert "not reached: fall.com_error" in printed
+    assert "C library: not built: cargo build" in printed
     assert "3 of 3 quantities agree" in printed
     document = json.loads((tmp_path / "verify.json").read_text())
     assert [row["agrees"] for row in document["rows"]] == [True] * 3
