@@ -45,7 +45,7 @@ COARSE, WEIGHED = 4, 5
 UNMODELLED = (7e-4, 4.3e-4, 8.5e-4)
 """Deviation, in every sample, of forces and moments on the base and of torques that no number explains, as shares of
 the weight and of the weight at the radius of gyration. Ours: of drawn robots' residuals at their truth."""
-COHERENT = 3e-4
+COHERENT = 2.2e-4
 """Deviation of the whole robot's centre of mass that such air imitates [m], since it moves with the robot; ours, of
 drawn robots, whose base seems 3 mm higher in a network's air than in the controller's own."""
 AIR = (0.3, 0.4)
