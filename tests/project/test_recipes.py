@@ -1,7 +1,8 @@
 """Recipes: the blocks of a page run as they stand, one after the other, in a copy of the repository of its own.
 
 A comment before a block says how it is tried: `<!-- test: run -->`; `file PATH`, which later blocks use; `part` of a
-program or file; `not run, REASON`. Rust, C and CMake are parts of programs that the crates' tests run.
+program or file, `part of FOLDER` of a file in that folder of `configs`; `not run, REASON`. Rust, C and CMake are parts
+of programs that the crates' tests run.
 """
 
 import ast
@@ -19,12 +20,12 @@ from pathlib import Path
 
 import pytest
 
-from experiments import overrides, studies
+from experiments import overrides, schema, studies
 from experiments.report import blocks as tables_of_pages
 from experiments.sweep import spec
 from experiments.sweep.design import Design
 from jax_aero import cli, rust
-from jax_aero.base import places
+from jax_aero.base import places, tables
 from paper_figs.figures import FIGURES
 from tests.project.test_docs import FENCE, ROOT, name
 
@@ -34,10 +35,12 @@ HOW = {
     **dict.fromkeys(("rust", "c", "cpp", "cmake", "math", "text"), ""),
     "sh": "run|not run, .+",
     "python": "run|part|file .+|not run, .+",
-    "toml": "part|file .+",
+    "toml": r"part( of \w+)?|file .+",
 }
 COPIED = ("jax_aero", "configs", "experiments", "paper_figs", "docs")
-LINKED = ("rust", "tests", "Cargo.toml", "Cargo.lock")
+LINKED = ("rust", "target", "tests", "Cargo.toml", "Cargo.lock")
+SCHEMAS = rust.schemas() | {name: tables.schema(kind) for name, kind in schema.TYPES.items()}
+"""Schemas of the files of `configs`, by folder."""
 SLOWEST = 900
 """Longest time of a page's recipes [s]."""
 
@@ -58,18 +61,10 @@ for how, language, code in json.load(sys.stdin):
 """
 
 
-OLD = {"show": "not run, old", "parse": "part", "robot": "part", "crate": "part"} | {
-    kind: f"file configs/{kind}s/shown.toml" for kind in ("experiment", "sweep", "waypoints")
-}
-
-
 def blocks(page: Path) -> list[tuple[str, str, str]]:
     """How it is tried, language and code of the blocks of a page."""
     found = FENCE.finditer(page.read_text(encoding="utf-8"))
-    blocks = [(block["how"] or "", block["language"], block["code"]) for block in found]
-    return [
-        ("part" if (how, lang) == ("show", "toml") else OLD.get(how, how), lang, code) for how, lang, code in blocks
-    ]
+    return [(block["how"] or "", block["language"], block["code"]) for block in found]
 
 
 def tried(page: Path) -> list[tuple[str, str, str]]:
@@ -83,8 +78,10 @@ def test_every_block_says_how_it_is_tried(page):
         assert re.fullmatch(HOW[language], how), code
         if language in {"rust", "c", "cpp", "cmake"}:
             assert re.fullmatch(rf'--8<-- "{PROGRAM}(:\w+)?"\n', code)
-        elif (how, language) == ("part", "toml"):
-            tomllib.loads(code)
+        elif language == "toml" and how.startswith("part"):
+            shown, folder = tomllib.loads(code), how.removeprefix("part").removeprefix(" of ")
+            if folder:
+                rust.check_table(shown, schema.allow_parts(SCHEMAS[folder]), places.CONFIGS / folder)
         elif language == "python":
             imports = [node for node in ast.parse(code).body if isinstance(node, ast.ImportFrom)]
             if how == "part":
@@ -93,26 +90,32 @@ def test_every_block_says_how_it_is_tried(page):
 
 @pytest.mark.parametrize("page", [page for page in PAGES if tried(page)], ids=name)
 def test_the_recipes_of_a_page_run(page, tmp_path):
+    clone = tmp_path / "jax-aero"
     for folder in COPIED:
-        shutil.copytree(ROOT / folder, tmp_path / folder, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
-    for path in LINKED:
-        (tmp_path / path).symlink_to(ROOT / path)
+        shutil.copytree(ROOT / folder, clone / folder, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     (ROOT / "target").mkdir(exist_ok=True)
-    (tmp_path / "target").symlink_to(ROOT / "target")
+    for path in LINKED:
+        (clone / path).symlink_to(ROOT / path)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "PATH": path}
+    environment = {**os.environ, "PYTHONPATH": str(clone), "PATH": path}
     answer = subprocess.run(
         [sys.executable, "-W", "error", "-c", RUN],
-        input=json.dumps(tried(page)), cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+        input=json.dumps(tried(page)), cwd=clone, env=environment, capture_output=True, text=True, check=False,
         timeout=SLOWEST,
     )  # fmt: skip
     assert answer.returncode == 0, answer.stdout + answer.stderr
     for how, _, _ in tried(page):
-        path = how.removeprefix("file ")
-        if path.startswith("configs/experiments/"):
-            rust.load_config(tmp_path / path)
-        elif path.startswith("configs/sweeps/"):
-            Design(spec.load(str(tmp_path / path))).check()
+        path = clone / how.removeprefix("file ")
+        if path.match("configs/experiments/*.toml"):
+            rust.load_config(path)
+        elif path.match("configs/sweeps/*.toml"):
+            Design(spec.load(str(path))).check()
+        elif path.name == "Cargo.toml":
+            (path.parent / "src").mkdir()
+            (path.parent / "src/main.rs").write_text("fn main() {}\n")
+            shutil.copy(ROOT / "Cargo.lock", path.parent)
+            command = ["cargo", "metadata", "--offline", "--format-version=1", f"--manifest-path={path}"]
+            subprocess.run(command, check=True, capture_output=True)
 
 
 def shown_commands(text: str) -> list[list[str]]:
