@@ -1,7 +1,7 @@
 """Draw pictures of pages anew: `python -m docs.gallery NAME ...`; without names, those of flights and tables.
 
 The name `film` stands for the front page's film. A picture of flights flies them first, and names how each ended. One
-of a study computes the study. Pictures of kept results are drawn from their rows (`experiments.generated`).
+of a study computes the study.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from mkdocs.utils import get_relative_url
 
 from experiments import schema, studies
 from experiments.report import command, kept
+from experiments.report import pictures as kept_pictures
 from experiments.sweep import columns
 from jax_aero import rust
 
@@ -70,9 +71,12 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Any, *, config: Any) -> Any:
-    """Add the pages that follow from code, records and notebooks, which are not stored, and the pictures of studies."""
+    """Add the pages that follow from code, records and notebooks, which are not stored, and pictures."""
     for path, text in generated().items():
         files.append(File.generated(config, path, content=text))
+    for name in filter(lambda name: kept.read(name).is_drawn, kept.names()):
+        drawn = kept_pictures.draw(kept.read(name))
+        files.append(File.generated(config, f"results/{name}.webp", content=drawn))
     for picture in pictures():
         path = f"studies/{picture.parent.name}/{picture.name}"
         files.append(File.generated(config, path, abs_src_path=str(picture)))

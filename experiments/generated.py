@@ -1,7 +1,6 @@
 """Write every committed file that follows from others: `python -m experiments.generated`, or `make generated`.
 
-Schemas and Python types follow from the types of the configuration, pictures of kept results from their figures,
-tables in pages from what they name.
+Schemas and Python types follow from the types of the configuration, tables in pages from what they name.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments import config_types, schema
-from experiments.report import blocks, pictures
+from experiments.report import blocks
 from jax_aero.base import places, renamed
 from jax_aero.cli import REFUSED
 
@@ -23,8 +22,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not places.IS_CHECKOUT:
         print("error: files of a checkout of the repository are generated, and this is none", file=sys.stderr)
         return REFUSED
-    for path in pictures.update():
-        print(path.relative_to(places.HOME))
     made = files()
     for path in outdated(made):
         path.parent.mkdir(parents=True, exist_ok=True)

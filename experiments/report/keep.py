@@ -1,7 +1,7 @@
 """Keep the figures of finished results in `docs/results/`.
 
 `jax-aero report keep NAME` reads the sweep NAME, or any other result given by its folder below `results/`, such as
-`wind_observer/turbulence`, and writes NAME.json and, for a sweep, its picture. `--all` does so for everything
+`wind_observer/turbulence`, and writes NAME.json. `--all` does so for everything
 that is kept, where its result is there; `--list` says how old each is.
 """
 
@@ -19,7 +19,7 @@ import pandas as pd
 
 from experiments import Refused, backends, outdated
 from experiments.identity import numerics_of
-from experiments.report import kept, pictures
+from experiments.report import kept
 from experiments.report.kept import ALL, Axis, Kept
 from experiments.report.results import ANOTHER
 from experiments.sweep import run, spec, table
@@ -56,8 +56,6 @@ def main(arguments: Sequence[str]) -> int:
                 raise Refused(f"{os.path.relpath(folder)} is {ANOTHER} ({difference})")
             document = of_folder(folder, given.named)
             write_text(kept.FOLDER / f"{document.name}.json", kept.to_json(document))
-        kept.read.cache_clear()
-        list(pictures.update())
 
     return exit_status(work)
 

@@ -27,6 +27,9 @@ from jax_aero.base.files import read_json
 from jax_aero.rust import MODES
 
 FOLDER = places.HOME / "docs" / "results"
+MOST_LEVELS = 16
+"""Greatest number of levels that are drawn in rows: the picture of more repeats the table."""
+
 ALL = "all"
 """Level of an axis over which the flights of a row are pooled."""
 
@@ -95,6 +98,13 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
         """Return the rows with the columns of a sweep's table of cells, pooled over these axes and no others."""
         found = [row for row in self.table() if {axis.name for axis in self.axes if row[axis.name] == ALL} == pooled]
         return [row | _as_cell(row) for row in found]
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether a picture adds to the table, and needs no more than its rows."""
+        if self.drawing in ("levels", "front"):
+            return all(len(axis.levels) <= MOST_LEVELS for axis in self.axes)
+        return self.drawing in ("curve", "map") and not self.pooled
 
     @property
     def stated(self) -> dict[str, Criterion]:
@@ -177,7 +187,6 @@ def page(kept: Kept) -> str:
     """Return the page of a kept result, as Markdown."""
     flown = table(kept) if kept.rows else [[]]
     counted = ", ".join(f"{number} {outcome.replace('_', ' ')}" for outcome, number in kept.outcomes.items() if number)
-    picture = f"{kept.name}.webp"
     return markdown(
         "kept.md",
         kept=kept,
@@ -186,7 +195,7 @@ def page(kept: Kept) -> str:
         legend=_legend(kept, flown[0]),
         summary=list(_summary(kept.summary)),
         claims=[(kept.stated[key].states, one.measured, f"**{one.verdict}**") for key, one in kept.claims.items()],
-        picture=picture if (FOLDER / picture).is_file() else "",
+        picture=f"{kept.name}.webp" if kept.is_drawn else "",
         made=_made(kept),
         again=_again(kept),
     )

@@ -19,6 +19,7 @@ from traitlets.config import Config
 import jax_aero
 from docs import hooks
 from experiments import studies
+from experiments.report import kept
 from experiments.report.page import table, to_html
 from jax_aero import air, env, env_gym, rust, sim
 from tests.browser import CHROMIUM, SLOWEST, open_chromium
@@ -92,6 +93,7 @@ def test_links_of_generated_pages_lead_to_pages_and_pictures():
     pages = generated()
     stored = {str(path.relative_to(DOCS)) for path in DOCS.rglob("*") if path.is_file()}
     pictures = {f"studies/{path.parent.name}/{path.name}" for path in hooks.pictures()}
+    pictures |= {f"results/{name}.webp" for name in kept.names() if kept.read(name).is_drawn}
     for page, text in pages.items():
         for link in LINK.findall(FENCE.sub("", text)):
             assert os.path.normpath(Path(page).parent / link) in {*pages, *stored, *pictures}, f"{page}: {link}"

@@ -7,7 +7,7 @@ import pytest
 
 from docs import gallery
 from experiments import generated
-from experiments.report import command, judge, kept, pictures
+from experiments.report import command, judge, kept
 from jax_aero import rust
 from jax_aero.base import places
 from paper_figs.figures import FIGURES
@@ -21,10 +21,6 @@ def test_everything_generated_is_up_to_date():
     assert not stale, "outdated: run `make generated`"
     committed = {*(places.CONFIGS / "schema").iterdir(), *(ROOT / "experiments/studies").glob("*/schema.json")}
     assert committed <= set(made), "made from nothing that is there"
-
-
-def test_pictures_of_kept_results_are_of_their_rows():
-    assert not list(pictures.outdated()), "outdated: run `make generated`"
 
 
 FLOWN = {name for name in gallery.pictures() if FIGURES[name].kind in ("flight", "")}

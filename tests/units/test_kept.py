@@ -209,44 +209,8 @@ def test_a_kept_sweep_of_other_cells_is_not_flown_again():
         keep.fly_again(document, 0)
 
 
-# --- pictures
-
-
-@pytest.fixture
-def folder(monkeypatch, tmp_path):
-    """A folder of kept results, one of which can be drawn."""
-    monkeypatch.setattr(kept, "FOLDER", tmp_path)
-
-    def keep_it(document):
-        (tmp_path / "made_up.json").write_text(kept.to_json(document), encoding="utf-8")
-        kept.read.cache_clear()
-
-    keep_it(made_up(drawing="curve"))
-    yield tmp_path, keep_it
-    kept.read.cache_clear()
-
-
-def test_a_picture_is_of_the_rows_of_its_result(folder):
-    path, keep_it = folder[0] / "made_up.webp", folder[1]
-    assert list(pictures.outdated()) == [path]
-    assert list(pictures.update()) == [path]
-    assert list(pictures.outdated()) == []
-    changed = made_up(drawing="curve")
-    changed.rows[0][2] += 1
-    keep_it(changed)
-    assert list(pictures.outdated()) == [path]
-
-
-def test_a_picture_of_nothing_goes(folder):
-    keep_it = folder[1]
-    list(pictures.update())
-    keep_it(made_up(drawing="pairs"))
-    (path,) = pictures.update()
-    assert not path.exists()
-
-
-def test_a_picture_has_the_figures_of_the_table(folder):
-    sweep = pictures.sweep_of(kept.read("made_up"))
+def test_a_picture_has_the_figures_of_the_table():
+    sweep = pictures.sweep_of(made_up(drawing="curve"))
     cell = sweep.cells.set_index(["controller", "speed"]).loc["a", 10.0]
     assert cell["rotation_error_deg_median"] == pytest.approx(3.5)
     assert cell["com_error_worst"] == pytest.approx(0.02)
