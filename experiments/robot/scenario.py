@@ -38,9 +38,9 @@ RULES = f"""\
 # in the trim and mean greatest thrust T; all others are those of the controller:
 #   momentum.c0, c1, also of the    times tr(I) / {INERTIA} kg m2
 #     descent, its torque_rate_max;
-#     observer.moment_max
-#   observer.force_max              times m / {MASS} kg
-#   engines.deviation_max           times T / {THRUST:g} N
+#     disturbance_observer.moment_max
+#   disturbance_observer.force_max  times m / {MASS} kg
+#   fault_detection.engines         deviation_max times T / {THRUST:g} N
 #   weights.momentum, symmetry,     times ({MASS} kg / m)^2, since they weigh squares of forces (per second)
 #     thrust_rate; thrust_excess
 #   weights.angular_momentum        {JOINT_MOMENTUM:g} / s^2; s: least singular value, above 1 % of the greatest, of the
