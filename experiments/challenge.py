@@ -131,8 +131,6 @@ def beside(name: str, flown: Mapping[str, Sequence[Kept]], timed: Mapping[str, A
         rows=[row for one in all_of for row in one.rows if ALL not in row[:2]],
         outcomes={},
         firsts=[],
-        claims={},
-        states={},
         shows=["share", "errors"],
         summary=dict(timed),
     )

@@ -11,20 +11,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from jax_aero.base.result import LOST
 from paper_figs import style
 from paper_figs.sweeps import Sweep
 
 KINDS = (
     ("completed", style.SKY),
     ("landed", style.GREEN),
-    ("still descending", style.BLUE),
-    ("off course", style.PURPLE),
     ("lost, announced", style.ORANGE),
     ("lost, less than 0.3 s before", style.BLACK),
 )
 """Names and colours of what the worst flight of a pair can be, from the best to the worst."""
-COUNTS = ("completed", "landed", "landing", "off_course", "lost", "unwarned")
+COUNTS = ("completed", "landed", "lost", "unwarned")
 """Numbers of such flights in a cell."""
 
 
@@ -70,6 +67,5 @@ def worst(cells: pd.DataFrame, name: str, levels: list[str]) -> NDArray[np.float
     for (row, first), (column, second) in combinations(enumerate(levels), 2):
         if (first, second) in by_pair.index:
             cell = by_pair.loc[(first, second)]
-            cell = cell.to_dict() | {"lost": sum(cell[end] for end in LOST)}
             kinds[row, column] = next(kind for kind in range(len(KINDS))[::-1] if kind == 0 or cell[COUNTS[kind]])
     return kinds

@@ -28,7 +28,7 @@ def draw(sweep: Sweep) -> Figure:
     for axes, axis in zip(grid.flat, axes_of, strict=False):
         x = flights[axis["name"]]
         axes.plot(
-            x[~lost], error.values[~lost], "o", color=style.BLUE, markersize=1.8, alpha=0.6, label="flown to the end"
+            x[~lost], error.values[~lost], "o", color=style.BLUE, markersize=1.8, alpha=0.6, label="completed or landed"
         )
         axes.plot(x[lost], error.values[lost], "x", color=style.VERMILION, markersize=4, label="lost")
         axes.set_xlabel(axis_label(axis), fontsize=7)
