@@ -62,8 +62,6 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     """Digest of the configuration and of the files that it names."""
     numerics: dict[str, int] = {}
     """Versions of the numbers of what computed it (`experiments.identity`); the first ones if none is named."""
-    code: str = ""
-    """Digest of the code, of results from before versions whose commit is not known."""
     config: dict[str, Any] = {}
     """Configuration of a study; that of a sweep is its file."""
     seed: int | None = None
@@ -208,8 +206,7 @@ def _again(kept: Kept) -> str:
 
 
 def _made(kept: Kept) -> str:
-    unknown = f", code {kept.code} of a commit that is not in the history" if kept.code else ", of changed code"
-    commit = f", commit {kept.commit[:10]}" if kept.commit else unknown
+    commit = f", commit {kept.commit[:10]}" if kept.commit else ", of changed code"
     seed = "" if kept.seed is None else f", seed {kept.seed}"
     return f"{kept.created[:10]}{commit}{seed}"
 

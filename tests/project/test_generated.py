@@ -47,18 +47,13 @@ def git(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-WITHOUT_COMMIT = {"cfd_mk3_tunnel"}
-"""A result of a commit that the history lacks: days of flow cases, of which the digest of the code is known."""
-
-
 @pytest.mark.skipif(
     git("rev-parse", "--is-shallow-repository").stdout != "false\n",
     reason="no history of commits: git fetch --unshallow",
 )
 def test_kept_results_and_claims_name_a_commit_that_a_clone_has():
     commits = {name: kept.read(name).commit for name in kept.names()}
-    assert {name for name, commit in commits.items() if commit is None} == WITHOUT_COMMIT
     commits |= {claim: finding.commit for claim, finding in judge.read(command.CLAIMS).items()}
-    for name in commits.keys() - WITHOUT_COMMIT:
-        assert commits[name] is not None, name
-        assert git("merge-base", "--is-ancestor", commits[name], "HEAD").returncode == 0, name
+    for name, commit in commits.items():
+        assert commit is not None, name
+        assert git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0, name
