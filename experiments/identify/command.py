@@ -458,25 +458,24 @@ def tested(judged: Verdict) -> list[tuple[str, ...]]:
 
 def _draw(known: Identified, out: Path) -> None:
     """Draw measured and predicted accelerations of the base in the held-out part of the last log."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from paper_figs import style
 
+    style.use()
     count = known.known[-1]
     end = Samples(*(part[count:] for part in known.logs[-1]))
     numbers = numbers_of(known.robot, known.found.value)
     mass = identify.mass_matrices(known.robot, known.aero, numbers, end)
     measured = verdict.measured(end)[:, :6]
-    figure = Figure(figsize=(7.2, 6.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = style.figure(6.0)
     panels = figure.subplots(6, 1, sharex=True)
     time = samples.PERIOD * np.arange(len(measured))
     lefts = (known.found.residuals[-1][0][count:], known.found.held_out[-1][0])
-    for label, left, colour in zip(("file", "found"), lefts, ("#D55E00", "#0072B2"), strict=True):
+    for label, left, colour in zip(("file", "found"), lefts, (style.VERMILION, style.BLUE), strict=True):
         predicted = measured - verdict.accelerations(mass, left)[:, :6]
         for row, axes in enumerate(panels):
             axes.plot(time, predicted[:, row], color=colour, label=f"predicted, {label}", linewidth=1.0)
     for row, (axes, name) in enumerate(zip(panels, ("x", "y", "z", "x", "y", "z"), strict=True)):
-        axes.plot(time, measured[:, row], color="#000000", label="measured", linewidth=0.8)
+        axes.plot(time, measured[:, row], color=style.BLACK, label="measured", linewidth=0.8)
         axes.set_ylabel(f"{name} [{'m/s²' if row < 3 else 'rad/s²'}]", fontsize=8)
     panels[0].legend(fontsize=7, ncols=3)
     panels[-1].set_xlabel("time in the held-out part [s]", fontsize=8)
