@@ -27,7 +27,7 @@ from typing import Any, NamedTuple, TypeVar
 import msgspec
 
 from experiments import Refused, schema, studies
-from experiments.report import command, judge, kept, paper
+from experiments.report import command, kept, paper
 from experiments.report.kept import ALL, Kept
 from experiments.report.page import table
 from experiments.sweep.intervals import wilson
@@ -286,7 +286,7 @@ def _with_unit(figure: str, value: Any) -> Value:
 
 
 def _of_claims(asked: Asked) -> Rows:
-    found, claims = judge.read(command.CLAIMS) | kept.findings(), paper.all_claims()
+    found, claims = command.documented(), paper.all_claims()
     rows = []
     for text, key in _by_heading(asked.claims).items():
         states, finding = _one(claims, key, "claim").states, _one(found, key, "finding of the claim")

@@ -7,11 +7,13 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from msgspec.structs import replace
+
 import jax_aero
 from experiments import Refused, manifest
 from experiments.flight import PAPER_RUNS
 from experiments.report import judge, kept
-from experiments.report.judge import Finding, Kind, whole
+from experiments.report.judge import Finding, Kind, Verdict, whole
 from experiments.report.measures import files
 from experiments.report.page import literal, markdown, to_html
 from experiments.report.paper import Item, all_claims, all_items, sections
@@ -187,9 +189,19 @@ def _sweep(results: Results, name: str) -> Mapping[str, object]:
 
 
 def documented() -> dict[str, Finding]:
-    """Return the finding of every claim: kept, from files, or that it is not flown here."""
-    known, nothing = judge.read(CLAIMS) | kept.findings(), Results(DOCS)
-    return {key: known[key] if key in known else claim.find(nothing) for key, claim in all_claims().items()}
+    """Return the finding of every claim: kept, outdated if it is of another claim or configuration, or from files."""
+    stored, swept, nothing = judge.read(CLAIMS), kept.findings(), Results(DOCS)
+    found = {}
+    for key, claim in all_claims().items():
+        if key in swept:
+            found[key] = swept[key]
+        elif key not in stored:
+            found[key] = claim.find(nothing)
+        else:
+            old = stored[key]
+            is_todays = old.identity == claim.identity
+            found[key] = old if is_todays else replace(old, verdict=Verdict.of(Kind.OUTDATED, old.verdict.text))
+    return found
 
 
 def index() -> str:

@@ -7,21 +7,28 @@ claim (paper.toml, a sweep's file) ──► measure ──► values by case �
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from experiments import Refused, manifest
+from experiments.identity import VERSIONS
 from experiments.report.measures import Cases, Measured, files, one, results
 from experiments.report.results import ANOTHER, NotFlownError, Results, StaleError
+from experiments.sweep import spec
 from experiments.sweep.criteria import Criterion
-from jax_aero.base import tables
+from experiments.sweep.design import Design
+from jax_aero import rust
+from jax_aero.base import places, tables
 from jax_aero.base.files import read_json
+from jax_aero.base.named import file_hash
 
 MEASURES = {"files": files, "results": results}
 """Modules of measures: the first needs committed files alone."""
@@ -126,6 +133,13 @@ class Claim(tables.Table, frozen=True):
     """Figure or sweep that shows it, if not that of its item."""
 
     @property
+    def identity(self) -> str:
+        """Return a digest of this claim and of today's configurations of its results."""
+        made = [_today(command) for command in each(self.commands)]
+        text = json.dumps([msgspec.to_builtins(self, enc_hook=str), made], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
     def is_of_sweep(self) -> bool:
         """Return whether it stands in the file of a sweep, with which its finding is kept."""
         return self.measure == OF_SWEEP
@@ -154,7 +168,7 @@ class Claim(tables.Table, frozen=True):
             measured = f"{measured}; {ANOTHER}: {', '.join(changed)}"
             verdict = Verdict.of(Kind.OUTDATED, verdict.text)
         commits = {made.created: made.commit for made in known.made.values() if made.created and made.commit}
-        return Finding(measured, verdict, commits[max(commits)] if commits else None)
+        return Finding(measured, verdict, commits[max(commits)] if commits else None, self.identity)
 
     def text(self, found: Measured) -> str:
         """Return what was measured."""
@@ -184,6 +198,19 @@ class Claim(tables.Table, frozen=True):
                 fails = ", ".join(case for case, _ in limits)
                 verdict = verdict.but(bound.how.format_map({**limits[0][1], "fails": fails}))
         return verdict
+
+
+@cache
+def _today(command: str) -> list[str]:
+    """Return digests of the configurations that a command makes its results of, and the versions of the numbers."""
+    _, word, *names = command.split()
+    versions = [f"{name} {version}" for name, version in VERSIONS.items()]
+    if word == "fly":
+        return [*versions, *(rust.config_digest(rust.load_config(name)) for name in names)]
+    if word == "sweep":
+        return [*versions, *(Design(spec.load(name)).digest for name in names)]
+    kind, *chosen = [f"cfd_{names[0]}", *names[1:]] if word == "cfd" else names
+    return [file_hash(places.find(kind, name)) for name in chosen or places.names(kind)]
 
 
 def of_sweep(name: str, claim: Criterion) -> Claim:
@@ -233,6 +260,8 @@ class Finding(msgspec.Struct, frozen=True):
     verdict: Verdict
     commit: str | None = None
     """Commit at which the latest of the results used was made; `None` if only files are used."""
+    identity: str = ""
+    """That of its claim and of its results (`Claim.identity`)."""
 
 
 class Record(msgspec.Struct):
@@ -259,6 +288,8 @@ def to_json(found: Mapping[str, Finding], kept: Path) -> str:
         is_kept = finding.verdict.kind in (Kind.NOT_FLOWN, Kind.OUTDATED) or (
             old is not None and (old.measured, old.verdict) == (finding.measured, finding.verdict)
         )
-        claims[key] = old if old and is_kept else msgspec.structs.replace(finding, commit=finding.commit or here)
+        commit = old.commit if old and is_kept else finding.commit or here
+        is_judged = finding.verdict.kind not in (Kind.NOT_FLOWN, Kind.OUTDATED)
+        claims[key] = old if old and not is_judged else msgspec.structs.replace(finding, commit=commit)
     document = {"command": "jax-aero report --claims docs/claims.json", "claims": msgspec.to_builtins(claims)}
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"

@@ -28,6 +28,10 @@ FAILED = "failed.json"
 """File of a results folder: the commands of `make reproduce` that failed, each with the reason."""
 WINDY = 3.0
 """Least relative wind whose direction is meaningful [m/s]."""
+MOVING = 0.02
+"""Least speed of a set-point that moves [m/s]."""
+LATE, STRONG = 35.0, 1.0
+"""Time from which on the paper sees its models differ most [s], and least force whose sign is compared [N]."""
 FINAL = 3.0
 """Duration of the end of a flight, at rest in the paper's mission [s]."""
 
@@ -97,12 +101,19 @@ class Flight:
         return difference("arm"), difference("chest")
 
     @property
-    def force_difference(self) -> tuple[float, float, float]:
-        """Return the greatest difference of simulated and assumed force [N], when [s], and the greatest force [N]."""
-        simulated, assumed = (flights.aero_force(self.run, of_controller=side).values for side in (False, True))
-        difference = np.linalg.norm(simulated - assumed, axis=1)
-        when = float(self.run["time"][difference.argmax()])
-        return float(difference.max()), when, float(np.linalg.norm(simulated, axis=1).max())
+    def forces_apart(self) -> dict[str, float]:
+        """Return how far simulated and assumed aerodynamic force differ in the mean [N], and the share of equal signs.
+
+        While the set-point moves and rests, before `LATE` and later; of components of at least `STRONG`.
+        """
+        run = self.run.sel(time=slice(SETTLING_TIME, None))
+        simulated, assumed = (flights.aero_force(run, of_controller=side).values for side in (False, True))
+        difference, is_late = np.linalg.norm(simulated - assumed, axis=1), run["time"].values >= LATE
+        is_moving = np.linalg.norm(run["com_setpoint"].differentiate("time").values, axis=1) > MOVING
+        parts = {"moving": is_moving, "resting": ~is_moving, "early": ~is_late, "late": is_late}
+        is_strong = abs(simulated) > STRONG
+        signs = 100.0 * float((np.sign(simulated) == np.sign(assumed))[is_strong].mean())
+        return {name: float(difference[rows].mean()) for name, rows in parts.items()} | {"signs": signs}
 
     @property
     def force_angle(self) -> tuple[float, float]:

@@ -4,9 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from experiments import studies
 from experiments.fly import main as fly
+from experiments.report import command as report
 from experiments.report import judge, kept, paper
 from experiments.report.command import CLAIMS as KEPT_CLAIMS
 from experiments.report.command import documented, index
@@ -43,9 +45,27 @@ def test_every_claim_is_that_of_an_item():
 
 def test_what_needs_results_is_kept_with_a_verdict_and_nothing_else_is():
     assert set(KEPT) == {key for key, claim in CLAIMS.items() if claim.commands}
-    assert {finding.verdict.kind for finding in documented().values()} <= {
-        Kind.AGREES, Kind.IN_PART, Kind.DIFFERS, Kind.OUT_OF_REACH,
+    found = documented()
+    outdated = {key for key, finding in found.items() if finding.verdict.kind is Kind.OUTDATED}
+    assert outdated == {key for key, claim in CLAIMS.items() if claim.is_of_sweep} - kept.findings().keys()
+    assert {found[key].verdict.kind for key in found.keys() - outdated} <= {
+        Kind.AGREES, Kind.IN_PART, Kind.DIFFERS, Kind.OUT_OF_REACH, Kind.NOT_COMPARED,
     }  # fmt: skip
+
+
+def test_a_stored_verdict_is_of_its_claim_and_of_its_results(monkeypatch):
+    """Another bound, or another configuration of a flight, and it is outdated."""
+    claim = CLAIMS["aligned"]
+    (bound,) = claim.asks
+    other = replace(claim, asks=(replace(bound, below=1500.0),))
+    monkeypatch.setattr(report, "all_claims", lambda: {"aligned": other})
+    assert documented()["aligned"].verdict.kind is Kind.OUTDATED
+    monkeypatch.setattr(report, "all_claims", lambda: {"aligned": claim})
+    assert documented()["aligned"].verdict.kind is Kind.AGREES
+    monkeypatch.setattr(judge.rust, "config_digest", lambda _: "of c0 = 5")
+    judge._today.cache_clear()
+    assert documented()["aligned"].verdict.kind is Kind.OUTDATED
+    judge._today.cache_clear()
 
 
 def test_a_finding_is_kept_once():

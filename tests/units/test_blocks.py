@@ -14,7 +14,7 @@ from tests.units.test_kept import made_up
 def page(monkeypatch, tmp_path):
     """What a block makes of these lines, beside a kept sweep and a kept study."""
     monkeypatch.setattr(kept, "FOLDER", tmp_path)
-    monkeypatch.setattr(blocks.judge, "read", lambda _: {"test1": Finding("32.9°", AGREES)})
+    monkeypatch.setattr(blocks.command, "documented", lambda: {"test1": Finding("32.9°", AGREES)})
     study = {
         "coarse: drag [m2]": 0.24013,
         "coarse: error": 0.31,

@@ -50,11 +50,16 @@ def test_the_size_of_a_force_is_compared_with_the_tunnel(monkeypatch):
     assert files.cfd().cases[""]["size"] == pytest.approx(10.0)
 
 
-def test_no_mesh_is_further_off_than_the_paper_says(runs):
+def test_one_mesh_is_further_off_than_the_paper_says_and_the_lift_alone_on_most(runs):
     names = tunnel.meshes(runs)
     assert names == ["011C", "024C", "050C", "202C", "953C"]
-    assert {decide(f"mesh_{name}")[1] for name in names} == {"agrees"}
-    assert max(decide(f"mesh_{name}")[0] for name in names) == "6.4 %"
+    measured, verdict = decide("meshes")
+    assert measured.endswith("953C: 11.1 %, 5 %, 45 %")
+    assert verdict.startswith("agrees on 011C, 024C, 050C, 953C; on 202C differs: 202C by 0.1 %; the lift alone")
+
+
+def test_the_effect_of_the_reynolds_number_is_not_at_high_sideslip_alone():
+    assert decide("reynolds_local")[1] == "differs: elsewhere as well"
 
 
 def test_tables_are_whole_and_angles_rise(tables, runs):

@@ -38,6 +38,9 @@ MOSTLY = 0.95
 ARMS = {"corrected": "", "published": "_published"}
 """Suffixes of the names of flights, by lever arms."""
 
+SUCCESSFUL, FAILED = ("test2", "test4", "robustness", "robustness_published"), ("test1_published", "test3_published")
+"""Flights whose joint errors stay bounded in the paper, and those in which they grow until the robot falls."""
+
 STANDING = ("balancing_front_as_flown", "balancing_lateral_as_flown")
 """The ground experiments of Fig. 6."""
 
@@ -58,6 +61,7 @@ def perturbed(results: Results, *, test: str) -> Measured:
         flight, cell = results.flight(test + end), cells.cell(test=f"{name}, {arms} arms")
         found[arms] = {
             "ending": flight.ending,
+            "is_fallen": flight.document["outcome"] == "fell",
             "rotation_error": flight.rotation_error,
             "com_error_cm": 100.0 * flight.com_error,
             "count": count(cell),
@@ -70,18 +74,12 @@ def perturbed(results: Results, *, test: str) -> Measured:
 
 
 def joint_errors(results: Results) -> Measured:
-    """Measure the sums of joint errors of TEST2, and of TEST1 until it falls [deg]."""
-    (most, end), (most_fallen, end_fallen) = (
-        results.flight(name).joint_errors for name in ("test2", "test1_published")
-    )
-    return one(
-        most=most,
-        end=end,
-        rest=end / most,
-        most_fallen=most_fallen,
-        end_fallen=end_fallen,
-        rest_fallen=end_fallen / most_fallen,
-    )
+    """Measure the sums of joint errors of flights that succeed in the paper, and of those that fail until they do."""
+    found = {}
+    for name, kind in {**dict.fromkeys(SUCCESSFUL, "rest"), **dict.fromkeys(FAILED, "rest_fallen")}.items():
+        most, end = results.flight(name).joint_errors
+        found[name] = {"most": most, "end": end, kind: end / most}
+    return Measured(found)
 
 
 def force_angle(results: Results) -> Measured:
@@ -91,9 +89,12 @@ def force_angle(results: Results) -> Measured:
 
 
 def asymmetry(results: Results) -> Measured:
-    """Measure how much more left and right thrusts differ with side wind than without [N]."""
-    wind, still = (results.flight(name).asymmetry for name in ("test2", "no_wind"))
-    return one(arms=wind[0], chest=wind[1], still_arms=still[0], still_chest=still[1], ratio=max(wind) / max(still))
+    """Measure how much more left and right thrusts differ in the flights of Fig. 5 than without wind [N]."""
+    still, found = results.flight("no_wind").asymmetry, {}
+    for name in ("test4", "robustness"):
+        arms, chest = results.flight(name).asymmetry
+        found[name] = {"arms": arms, "chest": chest, "still": max(still), "ratio": max(arms, chest) / max(still)}
+    return Measured(found)
 
 
 def thrusts(results: Results) -> Measured:
@@ -103,12 +104,13 @@ def thrusts(results: Results) -> Measured:
     return one(low=axisymmetric[0], high=axisymmetric[1], low4=network[0], high4=network[1], apart=apart)
 
 
-def transitions(results: Results) -> Measured:
-    """Measure when the models of simulator and controller differ most."""
+def forces_apart(results: Results) -> Measured:
+    """Measure how far the forces of the simulator's and of the controller's model differ in the robustness test [N]."""
     found = {}
     for arms, end in ARMS.items():
-        difference, time, force = results.flight(f"robustness{end}").force_difference
-        found[arms] = {"difference": difference, "time": time, "force": force}
+        apart = results.flight(f"robustness{end}").forces_apart
+        ratios = {"later": apart["late"] / apart["early"], "ratio": apart["moving"] / apart["resting"]}
+        found[arms] = apart | ratios
     return Measured(found)
 
 
