@@ -186,7 +186,8 @@ def _of_feet(signals: Mapping[str, Array], robot: rust.Robot) -> Array:
     """Return the generalised forces of the measured wrenches of the feet (ticks, 6 + n)."""
     frames = [foot["frame"] for foot in tomllib.loads(robot.toml_text)["feet"]]
     found = np.zeros((signals["time"].size, 6 + signals["raw_joint_position"].shape[1]))
-    poses = (signals[f"raw_{name}"] for name in ("base_position", "base_rotation", "joint_position"))
+    left, _, right = np.linalg.svd(signals["raw_base_rotation"])  # a record has four digits
+    poses = signals["raw_base_position"], left @ right, signals["raw_joint_position"]
     for row, wrenches, position, rotation, joints in zip(found, signals["foot_wrench"], *poses, strict=True):
         state = rust.State(position, rotation, joints, np.zeros_like(row))
         for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
