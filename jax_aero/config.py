@@ -232,6 +232,19 @@ class MpcWeights(Struct, frozen=True, kw_only=True):
     velocity: tuple[float, float, float]
 
 
+class NonlinearConfig(Struct, frozen=True, kw_only=True):
+    angular_velocity: float
+    clearance: float
+    joint_velocity: float
+    knots: tuple[float, ...]
+    lean: float
+    linear_beyond: float
+    posture: float
+    tail: float
+    thrust_rate: float
+    velocity: tuple[float, float, float]
+
+
 class MpcConfig(Struct, frozen=True, kw_only=True):
     air: Air = "linear"
     clearance: ClearanceConfig | None = None
@@ -241,6 +254,7 @@ class MpcConfig(Struct, frozen=True, kw_only=True):
     joint_groups: tuple[str, ...]
     joint_knots: tuple[int, ...]
     knots: tuple[float, ...]
+    nonlinear_descent: NonlinearConfig | None = None
     period: float
     posture_gain: float
     thrust_excess: float

@@ -76,13 +76,23 @@ impl Dynamics {
 
     /// Recomputes all quantities; `kinematics` must belong to `state`.
     pub fn update(&mut self, robot: &RobotModel, state: &RobotState, kinematics: &Kinematics) {
-        self.update_composites(robot, kinematics);
-        self.update_mass_and_momentum_matrix(kinematics);
+        self.update_momentum(robot, state, kinematics);
         for (index, joint) in robot.joints.iter().enumerate() {
             self.mass_matrix[(6 + index, 6 + index)] += joint.rotor_inertia;
         }
-        self.momentum.gemv(1.0, &self.momentum_matrix, &state.velocity, 0.0);
         self.update_bias(robot, state, kinematics);
+    }
+
+    /// Recomputes momentum and inertias only.
+    pub(crate) fn update_momentum(
+        &mut self,
+        robot: &RobotModel,
+        state: &RobotState,
+        kinematics: &Kinematics,
+    ) {
+        self.update_composites(robot, kinematics);
+        self.update_mass_and_momentum_matrix(kinematics);
+        self.momentum.gemv(1.0, &self.momentum_matrix, &state.velocity, 0.0);
     }
 
     /// `J̇ ν` of the point of `body` that is now at `point_i`: its linear and angular acceleration for ν̇ = 0

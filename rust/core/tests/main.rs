@@ -18,6 +18,7 @@ mod linalg;
 mod link_forces;
 mod mpc;
 mod network;
+mod nonlinear;
 mod observer;
 mod qp;
 mod qp_rows;

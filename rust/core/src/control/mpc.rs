@@ -7,6 +7,7 @@
 //! prediction motion over unequal knots                     [`prediction`]
 //! horizon    QP in the inputs                              [`horizon`]
 //! plan       its answer, followed until the next one       [`plan`]
+//! nonlinear  descent without an engine                     [`nonlinear`]
 //! ```
 //!
 //! The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is
@@ -17,6 +18,7 @@ pub mod clearance;
 pub mod config;
 pub mod horizon;
 pub mod model;
+pub mod nonlinear;
 pub(crate) mod prediction;
 
 use super::law::setpoint::{Ahead, SetpointGenerator};
@@ -36,6 +38,7 @@ use config::{Air, MpcConfig};
 use horizon::{Horizon, Target};
 use model::Linearised;
 use nalgebra::Vector6;
+use nonlinear::{Nonlinear, NonlinearPlan, World};
 
 /// Limit of the factorisations of one plan, over all its QPs: each has the values beyond their limits that the last answer
 /// brought there, and takes at least one. Where they do not suffice, the last plan is followed. Of 32 flights in four configurations
@@ -72,6 +75,7 @@ pub struct PredictiveLaw {
     /// Inputs of the plan that is being made.
     inputs: Vec<f64>,
     solver: PrimalActiveSet,
+    nonlinear: Option<Nonlinear>,
 }
 
 /// What is known of the motion after this tick.
@@ -103,6 +107,9 @@ impl PredictiveLaw {
         thrust_rate_max: Vec<f64>,
         time_step: f64,
     ) -> Result<Self, BuildError> {
+        let nonlinear = config.nonlinear_descent.as_ref();
+        let nonlinear = nonlinear.map(|of| Nonlinear::new(of, config, robot, jets.clone(), joints.clone()));
+        let nonlinear = nonlinear.transpose()?;
         let horizon = Horizon::new(config, gains, robot, jets, &joints)?;
         let place = |joint| joints.iter().position(|moved| *moved == joint);
         Ok(Self {
@@ -124,6 +131,7 @@ impl PredictiveLaw {
             solver: PrimalActiveSet::new(horizon.problem.len()).with_iteration_limit(FACTORISATIONS_MAX),
             model: Linearised::new(robot, joints),
             horizon,
+            nonlinear,
         })
     }
 
@@ -149,6 +157,53 @@ impl PredictiveLaw {
         self.holds_heading
     }
 
+    /// The plan before the first one.
+    pub(super) fn no_plan(&self) -> Plan {
+        let nonlinear = self.nonlinear.as_ref().map(Nonlinear::no_plan);
+        Plan { nonlinear, ..Plan::none(self.unknowns(), self.thrust_rate_max.len()) }
+    }
+
+    /// Whether a plan has the sizes of this law.
+    pub(super) fn fits(&self, plan: &Plan) -> bool {
+        let sizes = plan.nonlinear.as_ref().map(NonlinearPlan::len);
+        plan.len() == self.unknowns() && sizes == self.nonlinear.as_ref().map(Nonlinear::unknowns)
+    }
+
+    /// Commands the inputs of the nonlinear plan of a descent, which is improved in every tick; `false` without one that
+    /// ends as it should.
+    fn descend(
+        &mut self,
+        robot: &RobotModel,
+        aero: &mut AeroModel,
+        state: &mut ControllerState,
+        speed: f64,
+        terms: &Terms,
+        command: &mut Command,
+    ) -> bool {
+        let Self { nonlinear, air, conventions, time_step, .. } = self;
+        let ControllerState { plan, estimate, posture, .. } = state;
+        let planner = nonlinear.as_mut().zip(plan.nonlinear.as_mut());
+        let Some((planner, plan)) = planner.filter(|_| !terms.limits.holds_position) else { return false };
+        let now = Present { estimate, terms };
+        let world = World { robot, conventions: *conventions, air: *air, now, posture, speed };
+        planner.improve(aero, world, plan);
+        if !planner.take_inputs(plan, estimate.robot.time) {
+            return false;
+        }
+        let unknowns = &terms.momentum_qp.unknowns;
+        let (jets, joints) = planner.inputs.split_at(unknowns.thrust_rate.len());
+        command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
+        for (jet, input) in jets.iter().enumerate() {
+            let (thrust, rate) = (estimate.robot.thrust[jet], estimate.thrust_rate[jet]);
+            let wanted = rate + *time_step * planner.acceleration(jet, thrust, rate, *input);
+            command.thrust_rate[jet] = within_bounds(terms, unknowns.thrust_rate.start + jet, wanted);
+        }
+        let velocity = |place: usize| joints[place];
+        command_joints(&self.place, self.posture_gain, state, terms, velocity, command);
+        command.rates_qp = QpAnswer::from_status(QpStatus::Solved);
+        true
+    }
+
     /// Commands the plan's inputs of this tick, of a new plan where one is due; `false` without a plan.
     pub(super) fn command(
         &mut self,
@@ -159,6 +214,10 @@ impl PredictiveLaw {
         terms: &Terms,
         command: &mut Command,
     ) -> bool {
+        let speed = motion.generator.descent_speed();
+        if self.descend(robot, aero, state, speed, terms, command) {
+            return true;
+        }
         let time = state.estimate.robot.time;
         let is_due = time < state.plan.tried || time - state.plan.tried > self.period - 0.5 * self.time_step;
         let is_planned = !is_due || self.plan(robot, aero, state, motion, terms);
@@ -340,10 +399,6 @@ impl PredictiveLaw {
             knot += 1;
             end += self.horizon.durations()[knot];
         }
-        let clamp = |unknown: usize, value: f64| {
-            let (lower, upper) = bounds_of(terms, unknown);
-            value.max(lower).min(upper)
-        };
         let inputs = &state.plan.inputs;
         command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
         for jet in 0..unknowns.thrust_rate.len() {
@@ -354,17 +409,34 @@ impl PredictiveLaw {
             } else {
                 input
             };
-            command.thrust_rate[jet] = clamp(unknowns.thrust_rate.start + jet, rate);
+            command.thrust_rate[jet] = within_bounds(terms, unknowns.thrust_rate.start + jet, rate);
         }
-        for (joint, place) in self.place.iter().enumerate() {
-            let away = state.estimate.robot.state.joint_position[joint] - state.posture[joint];
-            let velocity = match place {
-                Some(place) => inputs[self.horizon.joint_velocity(knot, *place)],
-                None => -self.posture_gain * away,
-            };
-            command.joint_velocity[joint] = clamp(unknowns.joint_velocity.start + joint, velocity);
-        }
+        let velocity = |place: usize| inputs[self.horizon.joint_velocity(knot, place)];
+        command_joints(&self.place, self.posture_gain, state, terms, velocity, command);
     }
+}
+
+/// Commands the planned velocities of the joints that a plan moves; the others return to the posture.
+fn command_joints(
+    places: &[Option<usize>],
+    posture_gain: f64,
+    state: &ControllerState,
+    terms: &Terms,
+    planned: impl Fn(usize) -> f64,
+    command: &mut Command,
+) {
+    let first = terms.momentum_qp.unknowns.joint_velocity.start;
+    for (joint, place) in places.iter().enumerate() {
+        let away = state.estimate.robot.state.joint_position[joint] - state.posture[joint];
+        let velocity = place.map_or(-posture_gain * away, &planned);
+        command.joint_velocity[joint] = within_bounds(terms, first + joint, velocity);
+    }
+}
+
+/// The value of an unknown of the momentum QP that is nearest to the wanted one within the bounds of this tick.
+fn within_bounds(terms: &Terms, unknown: usize, wanted: f64) -> f64 {
+    let (lower, upper) = bounds_of(terms, unknown);
+    wanted.max(lower).min(upper)
 }
 
 /// Bounds of an unknown of the momentum QP in this tick.

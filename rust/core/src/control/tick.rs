@@ -126,7 +126,7 @@ impl Controller {
             between: JointsBetween::new(joints),
             contact: ContactState::new(terms.contact.soles.len()),
             residual_observer: None,
-            plan: Plan::none(law.predictive().map_or(0, PredictiveLaw::unknowns), terms.limits.thrust.len()),
+            plan: law.predictive().map_or_else(|| Plan::none(0, jets), PredictiveLaw::no_plan),
             momentum_start: WarmStart::cold(terms.momentum_qp.problem.len()),
             torque_start: WarmStart::cold(terms.torque_qp.problem.len()),
         })
@@ -276,7 +276,7 @@ impl Controller {
     /// Whether a state has the sizes of this controller.
     fn fits(&self, state: &ControllerState) -> bool {
         state.posture.len() == self.model.joints.len()
-            && state.plan.len() == self.law.predictive().map_or(0, PredictiveLaw::unknowns)
+            && self.law.predictive().map_or(state.plan.is_empty(), |law| law.fits(&state.plan))
             && state.momentum_start.len() == self.terms.momentum_qp.problem.len()
             && state.contact.force.len() == self.terms.contact.force_of_torques.len()
             && self.channels.fit_state(&state.channels)

@@ -1,5 +1,6 @@
 //! The plan of the predictive law, a part of the controller's state.
 
+use crate::control::mpc::nonlinear::NonlinearPlan;
 use crate::qp::{QpAnswer, WarmStart};
 
 /// The plan that is followed.
@@ -15,6 +16,8 @@ pub struct Plan {
     pub(in crate::control) warm: WarmStart,
     /// `β` of each engine at the last attempt \[1/s\] (M174); zero for ideal jets.
     pub(in crate::control) damping: Vec<f64>,
+    /// The nonlinear plan of a descent, where it is configured.
+    pub(in crate::control) nonlinear: Option<NonlinearPlan>,
 }
 
 impl Plan {
@@ -28,6 +31,7 @@ impl Plan {
             answer: None,
             warm: WarmStart::cold(unknowns),
             damping: vec![0.0; jets],
+            nonlinear: None,
         }
     }
 

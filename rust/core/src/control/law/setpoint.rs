@@ -333,6 +333,11 @@ impl SetpointGenerator {
         })
     }
 
+    /// Speed of the descent \[m/s\].
+    pub(in crate::control) fn descent_speed(&self) -> f64 {
+        self.config.descent_speed
+    }
+
     /// State of a mission that starts at the given centre of mass and base rotation.
     #[must_use]
     pub fn start(&self, com: Vector3<f64>, rotation: &Matrix3<f64>) -> SetpointState {

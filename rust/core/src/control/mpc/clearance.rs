@@ -142,6 +142,11 @@ impl Clearance {
 
     /// Recomputes distances and derivatives by `joints`.
     pub fn update(&mut self, kinematics: &Kinematics, joints: &[usize]) {
+        self.update_below(f64::INFINITY, kinematics, joints);
+    }
+
+    /// Recomputes distances, and derivatives of those below `least` \[m\].
+    pub(super) fn update_below(&mut self, least: f64, kinematics: &Kinematics, joints: &[usize]) {
         for (segment, capsule) in self.segments.iter_mut().zip(&self.capsules) {
             let pose = kinematics.bodies[capsule.body].i_from_b;
             *segment = (pose.transform_point(&capsule.start_b), pose.rotation * capsule.way_b);
@@ -152,6 +157,9 @@ impl Clearance {
             let gap = points[0] - points[1];
             let length = gap.norm();
             self.distance[index] = length - capsules[0].radius - capsules[1].radius;
+            if self.distance[index] >= least {
+                continue;
+            }
             let away = gap / length.max(TINY);
             for (place, joint) in joints.iter().enumerate() {
                 let moves = |side: usize| {

@@ -1,6 +1,7 @@
 //! Configuration of the predictive law.
 
 use super::clearance::{Clearance, ClearanceConfig};
+use super::nonlinear::NonlinearConfig;
 use crate::aero::{AeroModel, LinkConventions};
 use crate::error::{BuildError, Table, check_values_by_name, place_of};
 use crate::robot::RobotModel;
@@ -105,6 +106,9 @@ pub struct MpcConfig {
     /// Weights of the descent after the loss of an engine; without them the momentum QP flies the descent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub descent: Option<MpcWeights>,
+    /// Nonlinear plan of the descent; without it, and where it finds none, the linear plan flies the descent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nonlinear_descent: Option<NonlinearConfig>,
 }
 
 impl MpcConfig {

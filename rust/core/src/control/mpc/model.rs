@@ -9,9 +9,12 @@
 //! `docs/model`.
 
 use super::config::Air;
-use crate::aero::{AeroModel, ForceDerivatives};
-use crate::control::terms::Present;
-use crate::control::terms::Terms;
+use crate::aero::{AeroModel, ForceDerivatives, LinkForces};
+use crate::control::law::momentum::MomentumModel;
+use crate::control::measure::measurement::Measurement;
+use crate::control::terms::{Present, Terms};
+use crate::dynamics::Dynamics;
+use crate::kinematics::Kinematics;
 use crate::robot::{JointKind, RobotModel};
 use crate::spatial::{skew, stack};
 use nalgebra::{Matrix3, Matrix3xX, Matrix6x3, Matrix6xX, Vector3, Vector6};
@@ -47,6 +50,16 @@ pub struct Linearised {
     momenta: Vec<(Vector3<f64>, Vector3<f64>)>,
 }
 
+/// What the dynamics are linearised at.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Point<'a> {
+    pub(super) robot: &'a Measurement,
+    pub(super) kinematics: &'a Kinematics,
+    pub(super) dynamics: &'a Dynamics,
+    pub(super) momentum: &'a MomentumModel,
+    pub(super) link_forces: &'a LinkForces,
+}
+
 impl Linearised {
     /// Allocates for `robot` and the joints that the law moves.
     #[must_use]
@@ -72,12 +85,23 @@ impl Linearised {
     /// Linearises at the present state; `false` if the inertia cannot be inverted.
     #[must_use]
     pub fn update(&mut self, robot: &RobotModel, aero: &AeroModel, air: Air, now: Present) -> bool {
-        let Terms { dynamics, kinematics, momentum, .. } = now.terms;
+        let Terms { dynamics, kinematics, momentum, link_forces, .. } = now.terms;
+        self.update_at(
+            robot,
+            aero,
+            air,
+            Point { robot: &now.estimate.robot, kinematics, dynamics, momentum, link_forces },
+        )
+    }
+
+    /// Linearises at any state.
+    pub(super) fn update_at(&mut self, robot: &RobotModel, aero: &AeroModel, air: Air, now: Point) -> bool {
+        let Point { dynamics, kinematics, momentum, .. } = now;
         let Some(inverse) = dynamics.centroidal_inertia.try_inverse() else { return false };
         let total = dynamics.momentum;
         let (l, k): (Vector3<f64>, Vector3<f64>) =
             (total.fixed_rows::<3>(0).into(), total.fixed_rows::<3>(3).into());
-        let omega = now.estimate.robot.state.base_angular_velocity();
+        let omega = now.robot.state.base_angular_velocity();
         self.omega_k = inverse;
         self.omega_theta = inverse * skew(&k) - skew(&omega);
         dynamics.subtree_momenta(robot, kinematics, &mut self.momenta);
@@ -85,7 +109,7 @@ impl Linearised {
         self.rate_t.copy_from(&momentum.a_t);
         self.rate_v.fill(0.0);
         let mut turned = Vector6::zeros(); // wrench that turns with the robot
-        for (column, thrust) in momentum.a_t.column_iter().zip(&now.estimate.robot.thrust) {
+        for (column, thrust) in momentum.a_t.column_iter().zip(&now.robot.thrust) {
             turned += column * *thrust;
         }
         let mut by_omega = Matrix6x3::zeros();
@@ -111,7 +135,7 @@ impl Linearised {
         }
         self.rate_k = by_omega * inverse;
         // f(θ; v, k, wind) = R f(0; Rᵀ v, Rᵀ k, Rᵀ wind), and f depends on v − wind.
-        let through_air = l / kinematics.mass() - now.estimate.robot.wind;
+        let through_air = l / kinematics.mass() - now.robot.wind;
         self.rate_theta = self.rate_v * skew(&through_air) + self.rate_k * skew(&k);
         for (rows, vector) in [(0, turned.fixed_rows::<3>(0)), (3, turned.fixed_rows::<3>(3))] {
             let mut block = self.rate_theta.fixed_rows_mut::<3>(rows);
@@ -124,11 +148,11 @@ impl Linearised {
     fn add_links_of_base(
         &mut self,
         aero: &AeroModel,
-        now: Present,
+        now: Point,
         by_omega: &mut Matrix6x3<f64>,
         turned: &mut Vector6<f64>,
     ) {
-        let Terms { link_forces, kinematics, .. } = now.terms;
+        let Point { link_forces, kinematics, .. } = now;
         for (index, derivatives) in self.links.iter_mut().enumerate() {
             *derivatives = aero.derivatives(index, &link_forces.axes_i[index], &link_forces.v_air_i[index]);
             let by_air = derivatives.by_velocity;
@@ -149,11 +173,11 @@ impl Linearised {
 fn of_joint(
     robot: &RobotModel,
     links: &[ForceDerivatives],
-    now: Present,
+    now: Point,
     joint: usize,
     moves: &Vector3<f64>,
 ) -> (Vector6<f64>, Vector6<f64>) {
-    let Terms { link_forces, kinematics, dynamics, .. } = now.terms;
+    let Point { link_forces, kinematics, dynamics, .. } = now;
     let j_g: Vector3<f64> = dynamics.momentum_matrix.fixed_view::<3, 1>(0, 6 + joint) / kinematics.mass();
     let motion = &kinematics.bodies[joint + 1];
     let parent = &kinematics.bodies[robot.bodies[joint + 1].parent.unwrap_or(0)];

@@ -131,6 +131,7 @@ fn build_predictive(
     let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);
     let joints = mpc.joints(robot)?;
     let jets = robot.jet_models(config.jet_dynamics);
+    mpc.nonlinear_descent.as_ref().map_or(Ok(()), |descent| descent.check(&jets, time_step))?;
     let law = PredictiveLaw::new(
         mpc,
         conventions,

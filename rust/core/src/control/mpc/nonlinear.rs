@@ -1,0 +1,399 @@
+//! A descent by nonlinear model predictive control: iterated LQR on the centroidal dynamics over some seconds.
+//!
+//! ```text
+//! x = (z, v, θ, k, T, Ṫ, s)      height, velocity, rotation, angular momentum, thrusts and their rates, moved joints
+//! u = (λ, ṡ)                     place of each T̈ between its least and greatest one; joint velocities
+//! x⁺ = x + h ẋ + h²/2 F ẋ        over a knot of length h, with F = ∂ẋ/∂x at its beginning
+//! ```
+//!
+//! Every tick makes one iteration: the last plan's feedback is flown from the present state, with a shorter step where the
+//! motion costs more than expected. Dynamics and cost are expanded along it, and a backward pass gives the feedback that
+//! minimises the expansion, with inputs within bounds (Li and Todorov 2004; Tassa et al. 2014).
+//!
+//! ```text
+//! knot       dynamics and cost at a knot, expanded      [`knot`]
+//! riccati    backward pass                              [`riccati`]
+//! ```
+
+#[doc(hidden)]
+pub mod knot;
+#[doc(hidden)]
+pub mod riccati;
+
+use super::clearance::Clearance;
+use super::config::{Air, MpcConfig};
+use crate::aero::{AeroModel, LinkConventions};
+use crate::control::terms::Present;
+use crate::error::{BuildError, Table};
+use crate::jets::JetModel;
+use crate::linalg;
+use crate::robot::RobotModel;
+use crate::spatial::{exp_so3, log_so3};
+use knot::{Expansion, Knot, State};
+use nalgebra::DVector;
+use riccati::Riccati;
+use serde::{Deserialize, Serialize};
+
+const TABLE: Table = Table("controller.mpc.nonlinear_descent");
+
+/// Greatest number of knots.
+const KNOTS_MAX: usize = 64;
+/// Shares of the last plan's step that are flown until the motion costs no more than expected.
+const SHARES: [f64; 3] = [1.0, 0.3, 0.0];
+/// Cost that is expected at most: a new plan begins elsewhere.
+const GROWTH: f64 = 1.3;
+const GROWTH_LEAST: f64 = 50.0;
+/// Weight of a change of the inputs: at the first plan, its limits, and its factor after a plan whose whole step was flown;
+/// its inverse after another one.
+const DAMPING: f64 = 1.0;
+const DAMPING_RANGE: [f64; 2] = [1e-3, 1e3];
+const DAMPING_FACTOR: f64 = 0.25;
+/// For how long a plan is followed without a new one \[s\].
+const AGE_MAX: f64 = 0.2;
+/// A plan is followed if it ends falling no faster \[m/s\], and with at least this cosine of the lean.
+const END_DOWNWARDS: f64 = 3.0;
+const END_UPRIGHT: f64 = 0.7;
+
+/// A descent by nonlinear model predictive control. Weights are those of squares, per second.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NonlinearConfig {
+    /// Durations of the knots \[s\].
+    pub knots: Vec<f64>,
+    /// Velocity of the centre of mass, along x, y and z \[s²/m²\].
+    #[schemars(inner(range(min = 0)))]
+    pub velocity: [f64; 3],
+    /// Speed beyond which the cost of the horizontal velocity grows linearly (pseudo-Huber) \[m/s\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub linear_beyond: f64,
+    /// Lean, of which `2 (1 − cos)` is the square \[1/rad²\].
+    #[schemars(range(min = 0))]
+    pub lean: f64,
+    /// Angular velocity \[s²/rad²\].
+    #[schemars(range(min = 0))]
+    pub angular_velocity: f64,
+    /// Joint positions about the posture of the first tick \[1/rad²\].
+    #[schemars(range(min = 0))]
+    pub posture: f64,
+    /// Joint velocities \[s²/rad²\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub joint_velocity: f64,
+    /// Thrust rates \[s²/N²\].
+    #[schemars(range(min = 0))]
+    pub thrust_rate: f64,
+    /// Distances below the least one, not per second \[1/m²\].
+    #[schemars(range(min = 0))]
+    pub clearance: f64,
+    /// For how long the errors at the end of the last knot count \[s\].
+    #[schemars(range(min = 0))]
+    pub tail: f64,
+}
+
+impl NonlinearConfig {
+    /// Checks the knots, and that there are engines to plan with; `time_step` is that of the ticks \[s\].
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the key.
+    pub fn check(&self, jets: &[JetModel], time_step: f64) -> Result<(), BuildError> {
+        let count = self.knots.len();
+        if count == 0 || count > KNOTS_MAX {
+            let expected = format!("1 to {KNOTS_MAX} durations");
+            return Err(BuildError::bad_value(
+                "length of controller.mpc.nonlinear_descent.knots",
+                count,
+                expected,
+            ));
+        }
+        let expected = format!("at least a tick of {time_step} s");
+        for duration in &self.knots {
+            TABLE.check("knots", *duration, |x| x >= time_step * (1.0 - 1e-6), &expected)?;
+        }
+        if jets.iter().all(|jet| jet.engine.is_some()) {
+            return Ok(());
+        }
+        let expected = "throttled: `mpc.nonlinear_descent` plans with engines";
+        Err(BuildError::bad_value("controller.jet_dynamics", "ideal", expected))
+    }
+}
+
+/// The plan of a descent, a part of the controller's state.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NonlinearPlan {
+    /// The motion about which the feedback was found.
+    motion: Motion,
+    /// By knot: change of the inputs, and its derivative by the state (inputs × state).
+    steps: Vec<f64>,
+    gains: Vec<f64>,
+    cost: f64,
+    /// Time at which it begins \[s\]; `None` without a plan.
+    since: Option<f64>,
+    /// Weight of a change of the inputs.
+    damping: f64,
+    /// Whether it ends as it should.
+    is_certified: bool,
+}
+
+impl NonlinearPlan {
+    /// Number of inputs of all knots.
+    pub(in crate::control) fn len(&self) -> usize {
+        self.steps.len()
+    }
+}
+
+/// States at the ends of the knots, and inputs by knot.
+#[derive(Debug, Clone, PartialEq)]
+struct Motion {
+    states: Vec<State>,
+    inputs: Vec<f64>,
+}
+
+/// What does not change along a plan.
+#[derive(Debug, Clone, Copy)]
+pub struct World<'a> {
+    /// The controller's model.
+    pub robot: &'a RobotModel,
+    /// Points at which its links' forces act.
+    pub conventions: LinkConventions,
+    /// Whether the wrench of the air changes in the expansion.
+    pub air: Air,
+    /// Where the plan begins.
+    pub now: Present<'a>,
+    /// The posture \[rad\].
+    pub posture: &'a DVector<f64>,
+    /// Speed of the descent \[m/s\].
+    pub speed: f64,
+}
+
+/// The planner, with its workspace.
+#[derive(Debug)]
+pub(super) struct Nonlinear {
+    knots: Vec<f64>,
+    tail: f64,
+    knot: Knot,
+    flown: Motion,
+    /// Dynamics and cost along it.
+    expansions: Vec<Expansion>,
+    riccati: Riccati,
+    difference: DVector<f64>,
+    /// Inputs after the last knot: none.
+    none: Vec<f64>,
+    /// Another state.
+    state: State,
+    /// Inputs at present.
+    pub(super) inputs: Vec<f64>,
+}
+
+impl Nonlinear {
+    /// # Errors
+    /// [`BuildError`] for a link that the robot does not have.
+    pub(super) fn new(
+        config: &NonlinearConfig,
+        mpc: &MpcConfig,
+        robot: &RobotModel,
+        jets: Vec<JetModel>,
+        joints: Vec<usize>,
+    ) -> Result<Self, BuildError> {
+        let state = State::new(jets.len(), joints.len());
+        let (n, m, knots) = (state.size(), jets.len() + joints.len(), config.knots.len());
+        let clearance = Clearance::new(mpc.clearance.as_ref(), robot, joints.len())?;
+        Ok(Self {
+            knots: config.knots.clone(),
+            tail: config.tail,
+            knot: Knot::new(config, mpc, robot, jets, joints, clearance),
+            flown: Motion { states: vec![state.clone(); knots + 1], inputs: vec![0.0; knots * m] },
+            expansions: vec![Expansion::new(n, m); knots + 1],
+            riccati: Riccati::new(n, m),
+            difference: DVector::zeros(n),
+            none: vec![0.0; m],
+            inputs: vec![0.0; m],
+            state,
+        })
+    }
+
+    /// Number of inputs of all knots.
+    pub(super) fn unknowns(&self) -> usize {
+        self.flown.inputs.len()
+    }
+
+    /// No plan.
+    pub(super) fn no_plan(&self) -> NonlinearPlan {
+        NonlinearPlan {
+            motion: self.flown.clone(),
+            steps: vec![0.0; self.flown.inputs.len()],
+            gains: vec![0.0; self.flown.inputs.len() * self.difference.len()],
+            cost: 0.0,
+            since: None,
+            damping: DAMPING,
+            is_certified: false,
+        }
+    }
+
+    /// Improves the plan from the present state.
+    pub(super) fn improve(&mut self, aero: &mut AeroModel, world: World, plan: &mut NonlinearPlan) {
+        let time = world.now.estimate.robot.time;
+        self.knot.begin(&world);
+        self.flown.states[0].set_from(&world.now, &self.knot.joints);
+        let age = plan.since.map(|since| time - since).filter(|age| (0.0..=AGE_MAX).contains(age));
+        let cost = if let Some(age) = age {
+            self.fly_last(aero, &world, plan, age)
+        } else {
+            self.knot.hold(&world, &mut self.inputs);
+            plan.damping = DAMPING;
+            self.fly(aero, &world, None)
+        };
+        plan.since = None;
+        let Some(cost) = cost else { return };
+        let Self { riccati, expansions, flown, knot, .. } = self;
+        let feedback = (&mut *plan.steps, &mut *plan.gains);
+        if riccati.solve(expansions, &flown.inputs, &knot.bounds, plan.damping, feedback) {
+            plan.motion.copy_from(flown);
+            (plan.cost, plan.since) = (cost, Some(time));
+            let end = &flown.states[self.knots.len()];
+            plan.is_certified = end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT;
+        }
+    }
+
+    /// Flies the plan that began `age` \[s\] ago with the greatest share of its step that costs no more than expected.
+    fn fly_last(
+        &mut self,
+        aero: &mut AeroModel,
+        world: &World,
+        plan: &mut NonlinearPlan,
+        age: f64,
+    ) -> Option<f64> {
+        let expected = GROWTH * plan.cost + GROWTH_LEAST;
+        let (mut cost, mut is_whole) = (None, true);
+        for share in SHARES {
+            cost = self.fly(aero, world, Some((plan, share, age)));
+            is_whole = share == SHARES[0];
+            if cost.is_some_and(|cost| cost <= expected) {
+                break;
+            }
+        }
+        let factor = if is_whole { DAMPING_FACTOR } else { 1.0 / DAMPING_FACTOR };
+        plan.damping = (plan.damping * factor).clamp(DAMPING_RANGE[0], DAMPING_RANGE[1]);
+        cost
+    }
+
+    /// Sets `inputs` to those of the plan at a time \[s\]; `false` without one that ends as it should.
+    pub(super) fn take_inputs(&mut self, plan: &NonlinearPlan, time: f64) -> bool {
+        let age = plan.since.filter(|_| plan.is_certified).map(|since| time - since);
+        let Some(age) = age.filter(|age| (0.0..=AGE_MAX).contains(age)) else { return false };
+        let (mut end, m) = (0.0, self.inputs.len());
+        let is_before_end = |duration: &f64| {
+            end += duration;
+            age < end * (1.0 - 1e-6)
+        };
+        let knot = self.knots.iter().position(is_before_end).unwrap_or(self.knots.len() - 1);
+        let range = knot * m..(knot + 1) * m;
+        self.inputs.copy_from_slice(&plan.motion.inputs[range.clone()]);
+        linalg::add_scaled(&mut self.inputs, 1.0, &plan.steps[range]);
+        true
+    }
+
+    /// Thrust acceleration of an input \[N/s²\].
+    pub(super) fn acceleration(&self, jet: usize, thrust: f64, rate: f64, input: f64) -> f64 {
+        self.knot.acceleration(jet, thrust, rate, input)
+    }
+
+    /// Flies the feedback of the last plan with a share of its step, which began so long ago \[s\], or `inputs` without one;
+    /// returns the cost, `None` where the inertia cannot be inverted or a number is not finite.
+    fn fly(
+        &mut self,
+        aero: &mut AeroModel,
+        world: &World,
+        last: Option<(&NonlinearPlan, f64, f64)>,
+    ) -> Option<f64> {
+        let (n, m, knots) = (self.difference.len(), self.inputs.len(), self.knots.len());
+        let (mut cost, mut begin) = (0.0, 0.0);
+        for (knot, &duration) in self.knots.iter().enumerate() {
+            let (before, after) = self.flown.states.split_at_mut(knot + 1);
+            let (state, next) = (&before[knot], &mut after[0]);
+            let inputs = &mut self.flown.inputs[knot * m..(knot + 1) * m];
+            if let Some((plan, share, age)) = last {
+                let times = (begin + age, begin + age + duration);
+                let place = plan.read(&self.knots, times, share, inputs, &mut self.state);
+                state.minus(&self.state, &mut self.difference);
+                let gain = &plan.gains[place * m * n..(place + 1) * m * n];
+                linalg::add_mat_vec(inputs, gain, m, self.difference.as_slice());
+            } else {
+                inputs.copy_from_slice(&self.inputs);
+            }
+            for (input, (least, greatest)) in inputs.iter_mut().zip(&self.knot.bounds) {
+                *input = input.max(*least).min(*greatest);
+            }
+            let expansion = &mut self.expansions[knot];
+            self.knot.advance(aero, world, (state, inputs), (duration, duration), next, expansion)?;
+            cost += expansion.cost;
+            begin += duration;
+        }
+        let (end, last) = ((&self.flown.states[knots], &*self.none), &mut self.expansions[knots]);
+        self.knot.advance(aero, world, end, (0.0, self.tail), &mut self.state, last)?;
+        cost += last.cost;
+        cost.is_finite().then_some(cost)
+    }
+}
+
+impl Motion {
+    fn copy_from(&mut self, other: &Self) {
+        self.inputs.copy_from_slice(&other.inputs);
+        for (to, from) in self.states.iter_mut().zip(&other.states) {
+            to.copy_from(from);
+        }
+    }
+}
+
+impl NonlinearPlan {
+    /// Writes the mean of the inputs between two times \[s\] with a share of their step, and the state at the first time;
+    /// returns its knot.
+    fn read(
+        &self,
+        knots: &[f64],
+        (begin, end): (f64, f64),
+        of_step: f64,
+        inputs: &mut [f64],
+        state: &mut State,
+    ) -> usize {
+        let m = inputs.len();
+        inputs.fill(0.0);
+        let (mut start, mut found) = (0.0, None);
+        for (place, length) in knots.iter().enumerate() {
+            let is_last = place + 1 == knots.len();
+            let stop = if is_last { f64::INFINITY } else { start + length };
+            let share = (end.min(stop) - begin.max(start)).max(0.0) / (end - begin);
+            if share > 0.0 {
+                let range = place * m..(place + 1) * m;
+                linalg::add_scaled(inputs, share, &self.motion.inputs[range.clone()]);
+                linalg::add_scaled(inputs, share * of_step, &self.steps[range]);
+                if found.is_none() {
+                    let way = ((begin - start) / length).min(1.0);
+                    state.set_between(&self.motion.states[place], &self.motion.states[place + 1], way);
+                    found = Some(place);
+                }
+            }
+            start = stop;
+        }
+        found.unwrap_or(0)
+    }
+}
+
+impl State {
+    /// The state at a share of the way from one to another.
+    fn set_between(&mut self, from: &Self, to: &Self, way: f64) {
+        let blend = |from: f64, to: f64| from + way * (to - from);
+        self.height = blend(from.height, to.height);
+        self.velocity = from.velocity.lerp(&to.velocity, way);
+        let turn = log_so3(&(to.rotation * from.rotation.transpose()));
+        self.rotation = exp_so3(&(turn * way)) * from.rotation;
+        self.momentum = from.momentum.lerp(&to.momentum, way);
+        for (own, from, to) in [
+            (&mut self.thrust, &from.thrust, &to.thrust),
+            (&mut self.rate, &from.rate, &to.rate),
+            (&mut self.joints, &from.joints, &to.joints),
+        ] {
+            for (own, (from, to)) in own.iter_mut().zip(from.iter().zip(to)) {
+                *own = blend(*from, *to);
+            }
+        }
+    }
+}
