@@ -320,10 +320,6 @@ class MomentumWeights(Struct, frozen=True, kw_only=True):
     thrust_rate: dict[str, float]
 
 
-class WindObserverConfig(Struct, frozen=True, kw_only=True):
-    pass
-
-
 class ControllerSection(Struct, frozen=True, kw_only=True):
     aero: AeroConfig
     aero_feedback: AeroFeedback = AeroFeedback()
@@ -349,7 +345,7 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     torque: TorqueConfig
     use_jets: bool = True
     weights: MomentumWeights
-    wind_observer: WindObserverConfig | None = None
+    wind_observer: bool = False
 
 
 class ForceFactorsConfig(Struct, frozen=True, kw_only=True):

@@ -107,6 +107,7 @@ __all__ = [
     "load_aero",
     "load_config",
     "load_controller",
+    "load_onboard",
     "normals",
     "path_keys",
     "read_csv",
@@ -462,7 +463,7 @@ class Tick:
 
 
 class Controller:
-    """The flight controller of a configuration, one tick at a time.
+    """The flight controller of an experiment, or of what `load_onboard` returns, one tick at a time.
 
     The first tick begins the flight: its position, attitude and posture become the ones to keep. `state` is everything
     that is carried between ticks; a controller whose state is stored and assigned later continues bit for bit.
@@ -874,6 +875,11 @@ def load_aero(path: str | PathLike[str]) -> Config:
 def load_controller(path: str | PathLike[str]) -> Config:
     """Read a controller's configuration, by its name in `configs/control` or the path of a file."""
     return _parsed(_core.load_table("control", find("control", path)))
+
+
+def load_onboard(path: str | PathLike[str]) -> Config:
+    """Read robot, controller and mission on board, by their name in `configs/onboard` or the path of a file."""
+    return _parsed(_core.load_table("onboard", find("onboard", path)))
 
 
 def resolve_aero(aero: Mapping[str, Any]) -> Config:

@@ -177,7 +177,7 @@ def momentum_controller(
             symmetric_pairs=symmetric_pairs(controller, robot),
             latency=0.0 if estimates is None else estimates.latency.torque,
             lead=0 if estimates is None else estimator.latency_in_ticks(estimates.latency, float(time_step))[0],
-            estimates_wind=controller.wind_observer is not None,
+            estimates_wind=controller.wind_observer,
         ),
         aero=weight_forces(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
         rate_feedback=_components(feedback.momentum_rate),

@@ -10,7 +10,7 @@ from typing import Any
 from jax_aero import rust
 from jax_aero.base.named import copy_named
 from jax_aero.base.places import find, name_of
-from jax_aero.base.terminal import Progress, exit_status, progress_bar
+from jax_aero.base.terminal import ConfigError, Progress, exit_status, progress_bar
 from jax_aero.cli import Parser
 from jax_aero.view import Refused, recording
 from jax_aero.view.ros2 import BAG
@@ -131,7 +131,7 @@ def export(words: Sequence[str]) -> int:
         if given.profile is not None and given.format != "mcap":
             raise Refused(f"--profile is given with --{given.format}; expected --mcap, which alone has profiles")
         if given.format == "config":
-            rust.load_config(copy_named(find("experiments", given.result), given.out, replace=given.overwrite))
+            _load(copy_named(find("experiments", given.result), given.out, replace=given.overwrite))
             return
         results = [given.result] if given.ghost is None else [given.result, given.ghost]
         flight, *ghost = [_read(result, given) for result in results]
@@ -145,11 +145,21 @@ def export(words: Sequence[str]) -> int:
     return _write(given, "tick", work)
 
 
+def _load(path: Path) -> None:
+    """Refuse a file that is neither what runs on board nor an experiment, which has more keys."""
+    try:
+        rust.load_onboard(path)
+    except ConfigError as refusal:
+        if refusal.key not in rust.schemas()["experiments"]["properties"]:
+            raise
+        rust.load_config(path)
+
+
 FORMATS = {
     "html": "a page that any browser plays, of two flights with --ghost",
     "mcap": "every signal, poses and the robot's URDF, for Foxglove, PlotJuggler and Rerun",
     "csv": "every signal as a table, for PlotJuggler and spreadsheets",
-    "config": "folder of an experiment, RESULT, with every file that it needs, which any machine flies",
+    "config": "folder of an experiment or a file of configs/onboard, RESULT, with every file that it needs",
     "mat": "every signal as iRonCub's own logger writes it (MATLAB 7.3), for robot-log-visualizer",
 }
 """Formats of `jax-aero export`; those of files are their suffixes."""

@@ -64,7 +64,7 @@ def test_both_estimate_the_same_state(x64, agree_with_the_log):
 @pytest.fixture(scope="module")
 def alone(x64):
     """A controller with both estimators, its compiled step, its robot, and readings of one that hardly moves."""
-    config = scenario_config(rust.load_config(EXPERIMENT, {"controller.wind_observer": {}}))
+    config = scenario_config(rust.load_config(EXPERIMENT, {"controller.wind_observer": True}))
     robot, first = load_robot(config.robot), config.simulator.initial
     rng = np.random.default_rng(7)
 

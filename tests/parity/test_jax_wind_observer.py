@@ -24,7 +24,7 @@ WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ram
 @pytest.fixture
 def replayed(x64):
     """A flight of the crate, and what the observer in JAX makes of it with a constant force besides the thrusts."""
-    table = rust.load_config(EXPERIMENT, {"simulator.duration": 1.0, "controller.wind_observer": {}})
+    table = rust.load_config(EXPERIMENT, {"simulator.duration": 1.0, "controller.wind_observer": True})
     table["wind"] = WIND
     flown = rust.fly(table)
     config, robot = scenario_config(table), load_robot(table["robot"])

@@ -30,7 +30,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 EVERYTHING = {
     "simulator.duration": 0.05,
     "simulator.jets": {"dynamics": "throttled"},
-    "controller.wind_observer": {},
+    "controller.wind_observer": True,
     "disturbances.wind_estimate": {"noise_std": 1.0},
     "disturbances.aero": {"drag": 1.1},
     "disturbances.model_error": {"mass_scale": 1.1},

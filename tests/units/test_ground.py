@@ -282,7 +282,7 @@ def test_a_robot_that_loses_a_measurement_of_its_base_lands_and_stands(lost, sta
 def test_what_the_controller_is_given_is_recorded():
     """Its estimators stand between what is measured and the law."""
     estimator = {"base_position": {"time_constant": 0.5}}
-    observing = {"controller.wind_observer": {}, "controller.estimator": estimator}
+    observing = {"controller.wind_observer": True, "controller.estimator": estimator}
     config = early_wind([-12.0, 0.0, 0.0], measured=False, duration=2.0, **observing)
     log = fly(config).log
     assert (log["measured_wind_std"][:, :2] > 0.0).all()

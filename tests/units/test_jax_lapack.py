@@ -56,7 +56,7 @@ EVERYTHING = {
         "disturbances.controller_wind": {"profile": "constant", "velocity": [0.0, -8.0, 0.0]},
     },
     "test2_sensors_mpc": {
-        "controller.wind_observer": {},
+        "controller.wind_observer": True,
         "controller.torque.rotor_inertia": 0.05,
         "simulator.actuation": {"torque_delay": 0.01},
         "simulator.sensors.wind_preview": 0.8,

@@ -121,6 +121,11 @@ def test_a_folder_of_an_experiment_flies_alone(tmp_path, capsys):
     assert Path(configs[1]["robot"]).is_relative_to(out)
     first, second = (bits(rust.fly(config)["joint_torque"]) for config in configs)
     assert first == second
+    assert run(capsys, "export", places.CONFIGS / "onboard/robot.toml", "--config", "--out", tmp_path / "board")[0] == 0
+    assert (
+        rust.load_onboard(tmp_path / "board/onboard/robot.toml")["controller"]
+        == rust.load_onboard("robot")["controller"]
+    )
     far = tmp_path / "far.toml"
     far.write_text(f'base = "{places.CONFIGS}/experiments/test2.toml"\n')
     status, _, err = run(capsys, "export", far, "--config", "--out", tmp_path / "no")

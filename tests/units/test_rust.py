@@ -51,6 +51,20 @@ def test_a_configuration_is_checked_once_on_its_way_to_a_flight(tmp_path):
         rust.check_config(mine)
 
 
+def test_what_runs_on_board_names_no_simulator():
+    """The experiment that embeds it has the same controller."""
+    alone, flown = rust.load_onboard("robot"), rust.load_config("robot")
+    assert alone.keys() == {"robot", "controller", "mission"}
+    assert alone == {key: flown[key] for key in alone}
+    state = rust.State(
+        np.array([0.0, 0.0, 0.8]), np.eye(3), flown["simulator"]["initial"]["joint_position"], np.zeros(29)
+    )
+    ticks = [rust.Controller(one).tick(state, [98.0] * 4, np.zeros(3)) for one in (alone, flown)]
+    np.testing.assert_array_equal(*(tick.command.joint_torque for tick in ticks))
+    with pytest.raises(ValueError, match="unknown key `wind`"):
+        rust.Controller({**alone, "wind": flown["wind"]})
+
+
 def test_progress_runs_up_to_the_end():
     seen = []
     rust.fly(rust.load_config(TEST2, SHORT), lambda tick, n_ticks: seen.append((tick, n_ticks)))

@@ -27,7 +27,7 @@ FLIGHTS: dict[str, dict[str, Any]] = {
         "disturbances.jets": {"lag": 0.02, "thrust_limit_scale": 0.9, "limit_is_known": True},
     },
     "robustness_mpc": {
-        "controller.wind_observer": {},
+        "controller.wind_observer": True,
         "disturbances.pushes": [{"body": "chest", "moment": [1.0, 0.0, 0.0], "start": 0.0, "duration": 0.1}],
     },
     "min_time": {"disturbances.aero_estimate.scale": 0.9, "disturbances.model_error.mass_scale": 1.1},

@@ -95,7 +95,7 @@ main = STUDY.main
 def configurations(world: World, speed: float, flights: int, seed: int) -> Iterator[dict[str, Any]]:
     """Yield perturbed flights in turbulent winds of this speed, from directions all around."""
     name, model = WORLDS[world]
-    settings = {"simulator.duration": DURATION, "controller.wind_observer": {}}
+    settings = {"simulator.duration": DURATION, "controller.wind_observer": True}
     table = rust.load_config(name, settings)
     if model is not None:
         table["controller"]["aero"] = copy.deepcopy(keys.get(table, model))

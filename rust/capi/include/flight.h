@@ -216,7 +216,8 @@ const char *flight_status_name(int status);
 // Name of a `FlightMode`, such as `wind_held`; null for other numbers.
 const char *flight_mode_name(uint32_t mode);
 
-// Creates the controller of a flight configuration, a file as in `configs/experiments/`. Allocates.
+// Creates the controller of a file as in `configs/onboard/`, which names no simulator, or as in `configs/experiments/`, with
+// the errors that its `disturbances` give the controller's models. Allocates.
 //
 // `header` is `flight_header()`. Returns null on failure, also if the program was compiled with the header of another
 // library; `message`, unless null, then contains the reason in at most `message_size` bytes, the last of which is zero.

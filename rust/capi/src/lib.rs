@@ -14,8 +14,8 @@ use flight_core::control::modes::Modes;
 use flight_core::control::{BadCommand, ControllerState, Given, Preview};
 use flight_core::spatial::Pose;
 use flight_core::{BuildError, Controller, Measurement};
-use flight_io::load_robot;
-use flight_sim::{Plant, Wind, load_scenario};
+use flight_io::{Schema, load_robot};
+use flight_sim::{Plant, ScenarioConfig, Wind, load_scenario, onboard};
 use nalgebra::{Matrix3, Vector3};
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -212,8 +212,8 @@ pub struct FlightController {
 
 impl FlightController {
     fn load(path: &Path) -> Result<Self, BuildError> {
-        let scenario = load_scenario(path)?;
-        let robot = load_robot(&scenario.robot)?;
+        let table = flight_io::resolve(path, &Schema::of_type::<ScenarioConfig>())?;
+        let (robot, law, controller) = onboard(table, &path.display().to_string())?;
         let c_name = |name: &String| {
             CString::new(name.as_str()).map_err(|_| {
                 BuildError::bad_value("name of a joint or jet", format!("{name:?}"), "no zero byte")
@@ -221,12 +221,11 @@ impl FlightController {
         };
         let joint_names = robot.joints.iter().map(|joint| c_name(&joint.name)).collect::<Result<_, _>>()?;
         let jet_names = robot.jets.iter().map(|jet| c_name(&jet.name)).collect::<Result<_, _>>()?;
-        let controller = scenario.controller(robot)?;
         let (joints, feet) = (controller.model().joints.len(), controller.model().feet.len());
         Ok(Self {
             flight: None,
-            time_step: scenario.controller.law.time_step,
-            torque_steps: scenario.controller.law.torque.steps,
+            time_step: law.time_step,
+            torque_steps: law.torque.steps,
             joint_names,
             jet_names,
             measured: Measurement::zero(joints, controller.n_jets(), feet),
@@ -502,7 +501,8 @@ pub extern "C" fn flight_mode_name(mode: u32) -> *const c_char {
     index.and_then(|index| MODE_NAMES.get(index)).map_or(null(), |name| name.as_ptr())
 }
 
-/// Creates the controller of a flight configuration, a file as in `configs/experiments/`. Allocates.
+/// Creates the controller of a file as in `configs/onboard/`, which names no simulator, or as in `configs/experiments/`, with
+/// the errors that its `disturbances` give the controller's models. Allocates.
 ///
 /// `header` is `flight_header()`. Returns null on failure, also if the program was compiled with the header of another
 /// library; `message`, unless null, then contains the reason in at most `message_size` bytes, the last of which is zero.

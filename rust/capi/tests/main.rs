@@ -134,7 +134,8 @@ impl Arrays {
 
 /// A second of flight through C and through the crate, each measurement with every field different from zero: the
 /// same bits in every tick. A field that is copied to a wrong place or by columns would differ. With the future of
-/// set-points and wind, with a state estimator, with throttles in the realistic simulation, and with a learned policy too.
+/// set-points and wind, with a state estimator, with throttles in the realistic simulation, and with a learned policy too;
+/// that of `robot` is of a file that names no simulator.
 #[test]
 fn flights_through_c_are_those_of_the_crate() {
     for name in ["test2", "test2_mpc", "test2_sensors", "robot", "test1_policy"] {
@@ -150,7 +151,8 @@ fn fly_both(name: &str) {
         Plant::new(robot.clone(), &scenario.simulator, &scenario.disturbances, &scenario.controller.law)
             .unwrap();
     let mut controller = scenario.controller(robot).unwrap();
-    let c = create(&config(name)).unwrap();
+    let onboard = Path::new(HERE).join("../../configs/onboard/robot.toml");
+    let c = create(&if name == "robot" { onboard } else { config(name) }).unwrap();
     let mut arrays = Arrays::new(joints, jets);
     let wind = Vector3::new(3.0, -4.0, 0.5);
     let mut flight = None;

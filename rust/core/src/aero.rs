@@ -24,11 +24,12 @@ pub(crate) mod sphere_cylinder;
 
 pub use attack::Attack;
 pub use axisymmetric::{Axisymmetric, AxisymmetricConfig, axisymmetric_force};
-pub use derivatives::ForceDerivatives;
-pub use factors::{ForceFactors, ForceFactorsConfig};
+pub(crate) use derivatives::ForceDerivatives;
+pub(crate) use factors::ForceFactors;
+pub use factors::ForceFactorsConfig;
 pub use link_forces::{JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
 pub use links::LinksInAir;
 pub use model::AeroModel;
 pub use network::{Network, Precision};
 pub use pchip::Pchip;
-pub use sphere_cylinder::{CylinderTables, SphereCylinder, SphereCylinderConfig, SphereTables};
+pub use sphere_cylinder::{SphereCylinder, SphereCylinderConfig};

@@ -7,7 +7,6 @@ use crate::common::{Running, TIME_STEP, assert_within, at, experiment, move_stat
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::detect::engines::EnginesConfig;
 use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig};
-use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_core::control::law::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{Modes, Terms};
@@ -567,7 +566,7 @@ fn small_force_rates_are_dropped() {
 /// A robot that stands still in still air feels no wind: what carries it is its feet.
 #[test]
 fn the_ground_is_no_wind() {
-    let mut standing = controller(|law| law.wind_observer = Some(WindObserverConfig {}));
+    let mut standing = controller(|law| law.wind_observer = true);
     let (mut state, mass) = (at_rest(), standing.model().mass());
     let feet = [Vector6::new(0.0, 0.0, mass * 9.81 / 2.0, 0.0, 0.0, 0.0); 2];
     for tick in 0..200 {

@@ -10,7 +10,6 @@ use crate::common::{
 use crate::setpoint::distance_to_rest;
 use flight_core::control::config::Solver;
 use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig, LatencyConfig};
-use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_core::control::law::bounds::LimitedValues;
 use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::law::setpoint::Setpoint;
@@ -546,7 +545,7 @@ fn the_law_is_given_what_the_estimators_make() {
     let slow = FilterConfig { delay: 0.0, time_constant: 1e9 };
     let estimator = EstimatorConfig { base_position: slow, ..EstimatorConfig::default() };
     config.controller.law.estimator = Some(estimator);
-    config.controller.law.wind_observer = Some(WindObserverConfig {});
+    config.controller.law.wind_observer = true;
     let good = Measurement::start(&config);
     let mut controller = controller(&config);
     good.tick(&mut controller);
@@ -601,7 +600,7 @@ fn a_restored_state_continues_to_the_same_bits() {
     let late = FilterConfig { delay: 0.02, time_constant: 0.05 };
     let estimator = EstimatorConfig { base_position: late, ..EstimatorConfig::default() };
     estimating.controller.law.estimator = Some(estimator);
-    estimating.controller.law.wind_observer = Some(WindObserverConfig {});
+    estimating.controller.law.wind_observer = true;
     let mut planning = experiment("test2_mpc");
     planning.controller.law.jet_dynamics = JetDynamics::Throttled;
     let missions = ["test1", "test2", "closed_circuit", "test4"].map(|name| (name, experiment(name)));
@@ -634,15 +633,15 @@ fn a_restored_state_continues_to_the_same_bits() {
 fn a_state_of_other_stages_is_refused() {
     let mut config = experiment("test2_observer");
     config.controller.law.estimator = Some(EstimatorConfig::default());
-    config.controller.law.wind_observer = Some(WindObserverConfig {});
+    config.controller.law.wind_observer = true;
     let forget: [fn(&mut ScenarioConfig); 5] = [
         |config| config.controller.law.fault_detection.engines = None,
         |config| {
-            (config.controller.law.fault_detection.engines, config.controller.law.disturbance_observer) =
-                (None, None)
+            config.controller.law.fault_detection.engines = None;
+            config.controller.law.disturbance_observer = None;
         },
         |config| config.controller.law.estimator = None,
-        |config| config.controller.law.wind_observer = None,
+        |config| config.controller.law.wind_observer = false,
         |config| config.controller.law.use_jets = false,
     ];
     for (number, forget) in forget.into_iter().enumerate() {

@@ -55,7 +55,7 @@ impl Robot {
 
     /// What is lost of the torque of a joint at which `share` acts, beyond what is found.
     fn lost(&self, joint: usize, share: f64) -> f64 {
-        (share - self.state.found[joint].share()) * self.torque[joint]
+        (share - self.state.found[joint].effectiveness()) * self.torque[joint]
     }
 
     fn found(&self) -> [JointCondition; 3] {

@@ -9,8 +9,7 @@ use flight_core::control::estimate::disturbance_observer::{
     DisturbanceObserverConfig, MomentumSample, ObserverState,
 };
 use flight_core::control::estimate::wind_observer::{
-    FORCE_NOISE, FORCE_STD, GAIN, MOMENT_ARM, RELATIVE_STD, VERTICAL_STD, VERTICAL_TIME, WALK,
-    WindObserverConfig, WindState,
+    FORCE_NOISE, FORCE_STD, GAIN, MOMENT_ARM, RELATIVE_STD, VERTICAL_STD, VERTICAL_TIME, WALK, WindState,
 };
 use flight_core::control::measure::measurement::Sampling;
 use flight_core::control::{Estimate, Terms};
@@ -23,7 +22,7 @@ const STEP: f64 = 0.01;
 
 fn flight() -> ScenarioConfig {
     let mut config = experiment("test2_observer");
-    config.controller.law.wind_observer = Some(WindObserverConfig {});
+    config.controller.law.wind_observer = true;
     config
 }
 

@@ -1,4 +1,4 @@
-//! Loads a controller from a file of `configs/control/`.
+//! Loads a controller from a file of `configs/control/`, and what runs on board from one of `configs/onboard/`.
 
 use crate::{AeroConfig, MissionConfig, PolicyConfig, load_aero, load_mission, load_policy};
 use flight_core::aero::AeroModel;
@@ -7,6 +7,7 @@ use flight_core::control::law::residual::Policy;
 use flight_core::{BuildError, Controller, RobotModel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// One file of `configs/control/`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -53,6 +54,19 @@ impl ControllerSection {
         }
         load_policy(policy, robot)
     }
+}
+
+/// What runs on board: a robot, its controller and its mission. An experiment has these keys too, and those of a simulator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OnboardConfig {
+    /// The robot's TOML file.
+    #[schemars(extend("format" = "path"))]
+    pub robot: PathBuf,
+    /// The controller.
+    pub controller: ControllerSection,
+    /// Commands of the autopilot, or a recorded reference.
+    pub mission: MissionConfig,
 }
 
 /// Builds a controller of `robot`.

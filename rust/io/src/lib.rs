@@ -25,7 +25,7 @@ mod tensors;
 pub mod toml;
 
 pub use aero::{AeroConfig, load_aero};
-pub use controller::{ControllerSection, load_controller};
+pub use controller::{ControllerSection, OnboardConfig, load_controller};
 pub use files::{hold, read_bytes, read_text};
 pub use flight_core::schema::Schema;
 pub use mission::{MissionConfig, load_mission, read_recording};

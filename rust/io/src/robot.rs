@@ -28,7 +28,8 @@ use std::path::Path;
 use tree::Tree;
 
 pub use shapes::Shape;
-pub use urdf::{Inertial, Joint, Link, Mimic, Motion, Urdf};
+use urdf::Urdf;
+pub use urdf::{Inertial, Joint, Link, Motion};
 
 /// A robot's TOML file.
 #[derive(Serialize, Deserialize, JsonSchema)]

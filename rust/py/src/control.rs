@@ -4,7 +4,7 @@ use crate::arrays::{
     Input, Output, array, entries, finite_entries, matrix, matrix3, plain_error, value_error, vector,
     vector3, vectors,
 };
-use crate::flight::parse;
+use crate::flight::{parse, parse_table};
 use crate::qp::answer;
 use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
 use flight_core::control::Present;
@@ -17,6 +17,7 @@ use flight_core::control::mpc::horizon::{Horizon, Target};
 use flight_core::control::mpc::model::Linearised;
 use flight_core::control::{ControllerState as State, Estimate, Given, Measurement, Preview, Terms};
 use flight_io::{load_aero, load_mission, load_robot};
+use flight_sim::onboard;
 use nalgebra::{DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
@@ -80,9 +81,14 @@ impl ControllerState {
 impl Controller {
     #[new]
     fn new(config_json: &str) -> PyResult<Self> {
-        let config = parse(config_json)?;
-        let robot = load_robot(&config.robot).map_err(value_error)?;
-        config.controller(robot).map(|controller| Self { controller, state: None }).map_err(value_error)
+        let table = parse_table(config_json)?;
+        let controller = if table.get("simulator").is_some() {
+            let config = parse(config_json)?; // which may be at hand
+            load_robot(&config.robot).and_then(|robot| config.controller(robot))
+        } else {
+            onboard(table, "onboard").map(|(_, _, controller)| controller)
+        };
+        Ok(Self { controller: controller.map_err(value_error)?, state: None })
     }
 
     /// The state after the last tick; `None` before the first.

@@ -5,8 +5,8 @@ use crate::arrays::{
 };
 use flight_core::BuildError;
 use flight_io::{
-    AeroConfig, ControllerSection, RobotFiles, Schema, from_json, load, load_robot, read_bytes,
-    read_recording, typed,
+    AeroConfig, ControllerSection, OnboardConfig, RobotFiles, Schema, from_json, load, load_robot,
+    read_bytes, read_recording, typed,
 };
 use flight_sim::log::Series;
 use flight_sim::signals::Signal;
@@ -107,7 +107,8 @@ pub fn load_table(kind: &str, path: PathBuf) -> PyResult<String> {
     let table = match kind {
         "aero" => load::<AeroConfig>(&path).map(|config| json!(config)),
         "control" => load::<ControllerSection>(&path).map(|config| json!(config)),
-        _ => Err(BuildError::unknown_name("kind", kind, ["aero", "control"])),
+        "onboard" => load::<OnboardConfig>(&path).map(|config| json!(config)),
+        _ => Err(BuildError::unknown_name("kind", kind, ["aero", "control", "onboard"])),
     };
     Ok(table.map_err(value_error)?.to_string())
 }
@@ -139,7 +140,8 @@ pub fn path_keys(config_json: &str) -> PyResult<Vec<String>> {
     Ok(flight_io::path_keys(&parse_table(config_json)?, &SCHEMA))
 }
 
-fn parse_table(config_json: &str) -> PyResult<Value> {
+/// A table in JSON, unchecked.
+pub fn parse_table(config_json: &str) -> PyResult<Value> {
     serde_json::from_str(config_json)
         .map_err(|error| value_error(BuildError::malformed("configuration", error)))
 }

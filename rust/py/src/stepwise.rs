@@ -4,10 +4,10 @@ use crate::arrays::{Input, Output, entries, finite_entries, plain_error, value_e
 use crate::control::{ControllerState, setpoint_from_dict, setpoint_to_dict, tick_dict};
 use crate::flight::{flight_dict, parse};
 use crate::robot::{StateInput, measured_state, state_arrays};
-use flight_core::control::Measurement;
 use flight_core::control::law::residual::Residual;
+use flight_core::control::{Given, Measurement};
 use flight_core::robot::RobotModel;
-use flight_sim::{FlightResult, Handed, Scenario, Seen, World};
+use flight_sim::{FlightResult, Scenario, Seen, World};
 use nalgebra::{DVector, Vector3, Vector6};
 use numpy::IntoPyArray;
 use numpy::ndarray::Array2;
@@ -194,12 +194,9 @@ impl Flight {
             self.flight.truth();
             self.flight.replace_link_forces(Some(forces)).map_err(value_error)?;
         }
-        let handed = Handed {
-            setpoint: setpoint.as_ref(),
-            residual: residual.as_ref(),
-            command: command.as_ref().map(|(rate, torque)| (&rate[..], &torque[..])),
-        };
-        let goes_on = self.flight.step_with(&handed);
+        let given = Given { setpoint: setpoint.as_ref(), residual: residual.as_ref(), ..Given::default() };
+        let command = command.as_ref().map(|(rate, torque)| (&rate[..], &torque[..]));
+        let goes_on = self.flight.step_with(&given, command);
         self.flight.replace_link_forces(None).map_err(value_error)?;
         self.check_world()?;
         self.flight.refusal().map_or(Ok(()), |why| Err(plain_error(why)))?;

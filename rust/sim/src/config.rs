@@ -10,16 +10,21 @@ use crate::sensors::SensorsConfig;
 use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
+use flight_core::control::config::ControllerConfig;
 use flight_core::control::mpc::config::MpcConfig;
 use flight_core::error::{BuildError, Table, check};
 use flight_core::jets::{RATE_GAIN, ShaftConfig};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
-use flight_io::{AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, load, load_aero};
+use flight_io::{
+    AeroConfig, ControllerSection, MissionConfig, OnboardConfig, RobotFile, Schema, from_value, load,
+    load_aero, load_controller, load_robot,
+};
 use nalgebra::{DVector, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// One flight: robot, simulator, controller, mission, wind and disturbances.
@@ -84,6 +89,22 @@ impl ScenarioConfig {
     }
 }
 
+/// Builds the controller of a resolved table: one of `configs/onboard/`, or an experiment with the errors that `disturbances`
+/// gives the models of its controller. Returns its robot and its law too; `origin` is named in errors.
+///
+/// # Errors
+/// [`BuildError`] naming the invalid part.
+pub fn onboard(table: Value, origin: &str) -> Result<(RobotModel, ControllerConfig, Controller), BuildError> {
+    if table.get("simulator").is_some() {
+        let config: ScenarioConfig = from_value(table, origin)?;
+        let robot = load_robot(&config.robot)?;
+        return Ok((robot.clone(), config.controller.law.clone(), config.controller(robot)?));
+    }
+    let OnboardConfig { robot, controller, mission } = from_value(table, origin)?;
+    let robot = load_robot(&robot)?;
+    Ok((robot.clone(), controller.law.clone(), load_controller(robot, &controller, &mission)?))
+}
+
 /// Reads a flight configuration file.
 ///
 /// # Errors
@@ -95,13 +116,14 @@ pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
 
 /// The schemas of all files, by folder of `configs/`.
 #[must_use]
-pub fn schemas() -> [(&'static str, Schema); 9] {
+pub fn schemas() -> [(&'static str, Schema); 10] {
     [
         ("aero", Schema::of_type::<AeroConfig>()),
         ("control", Schema::of_type::<ControllerSection>()),
         ("engines", Schema::of_type::<ShaftConfig>()),
         ("law", Schema::of_type::<MpcConfig>()),
         ("mission", Schema::of_type::<MissionConfig>()),
+        ("onboard", Schema::of_type::<OnboardConfig>()),
         ("experiments", Schema::of_type::<ScenarioConfig>()),
         ("robot", Schema::of_type::<RobotFile>()),
         ("simulator", Schema::of_type::<SimulatorConfig>()),

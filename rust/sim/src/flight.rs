@@ -21,8 +21,6 @@ use crate::signals::{TickRow, TrackingErrors, WorldRow, feet_of};
 use crate::summary::Summary;
 use crate::wind::Wind;
 use crate::world::Seen;
-use flight_core::control::law::residual::Residual;
-use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{BadCommand, BadStart, Controller, ControllerState, Given, Measurement, Modes};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
@@ -53,18 +51,6 @@ pub struct Flight {
     feet: Vec<Option<usize>>,
     /// Thrust rates of the tick \[N/s\].
     thrust_rate: Vec<f64>,
-}
-
-/// What is handed in for one tick.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Handed<'a> {
-    /// Set-point in place of the mission's.
-    pub setpoint: Option<&'a Setpoint>,
-    /// Added to the answer of the law, in place of a policy's residual.
-    pub residual: Option<&'a Residual<'a>>,
-    /// Thrust rates \[N/s\] and joint torques \[N m, N\] that act until the next tick in place of the controller's, which
-    /// is given them.
-    pub command: Option<(&'a [f64], &'a [f64])>,
 }
 
 impl Scenario {
@@ -113,25 +99,30 @@ impl Scenario {
 impl Flight {
     /// Flies one tick; `false` if the flight is lost in it, cannot begin, or had ended before.
     pub fn step(&mut self) -> bool {
-        // Only a command that is handed in can be refused.
-        self.step_with(&Handed::default()).unwrap_or(false)
+        // Only a given command can be refused.
+        self.step_with(&Given::default(), None).unwrap_or(false)
     }
 
-    /// Flies one tick with what is handed in, as [`Self::step`].
+    /// Flies one tick, as [`Self::step`], with what is given to the controller beside its measurement, but for a preview, which
+    /// is that of the sensors, and thrust rates \[N/s\] and joint torques \[N m, N\] that act in place of the controller's.
     ///
     /// # Errors
     /// [`BadCommand`] for a command with a number that is not finite, or of another robot's size; nothing then changes.
-    pub fn step_with(&mut self, handed: &Handed) -> Result<bool, BadCommand> {
+    pub fn step_with(
+        &mut self,
+        given: &Given,
+        command: Option<(&[f64], &[f64])>,
+    ) -> Result<bool, BadCommand> {
         if self.has_ended() {
             return Ok(false);
         }
-        if let Some((thrust_rate, joint_torque)) = handed.command {
+        if let Some((thrust_rate, joint_torque)) = command {
             self.scenario.controller.check_command(thrust_rate, joint_torque)?;
         }
         self.measure();
         let reason = match self.start() {
             Ok(()) => {
-                self.control(handed)?;
+                self.control(given, command)?;
                 self.record()
             }
             Err(refusal) => {
@@ -146,7 +137,7 @@ impl Flight {
             self.loss = self.crash().map(|reason| Loss { time: self.time(), reason });
         }
         if !self.has_ended() {
-            self.advance(handed.command.map(|(_, torque)| torque));
+            self.advance(command.map(|(_, torque)| torque));
         }
         Ok(self.loss.is_none() && self.refusal.is_none())
     }
@@ -207,16 +198,15 @@ impl Flight {
     }
 
     /// Ticks the controller.
-    fn control(&mut self, handed: &Handed) -> Result<(), BadCommand> {
+    fn control(&mut self, given: &Given, replacing: Option<(&[f64], &[f64])>) -> Result<(), BadCommand> {
         let Scenario { controller, measuring, wind, .. } = &mut self.scenario;
         let (measurement, preview) = measuring.look_ahead(wind);
         let Some(state) = &mut self.state else { return Ok(()) };
-        let given = Given { setpoint: handed.setpoint, preview, residual: handed.residual };
-        let command = controller.tick_with(state, measurement, &given);
+        let command = controller.tick_with(state, measurement, &Given { preview, ..*given });
         if self.tick == 0 || command.modes.contains(Modes::BEGUN_AGAIN) {
             self.log.joint_setpoint = state.posture().as_slice().to_vec();
         }
-        if let Some((thrust_rate, joint_torque)) = handed.command {
+        if let Some((thrust_rate, joint_torque)) = replacing {
             controller.replace_command(state, thrust_rate, joint_torque)?;
         }
         Ok(())

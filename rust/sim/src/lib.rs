@@ -42,9 +42,9 @@ pub const NUMERICS: u32 = 1;
 pub use actuation::{Actuation, ActuationConfig};
 #[cfg(feature = "threads")]
 pub use batch::{BatchError, fly_batch};
-pub use config::{Backend, ScenarioConfig, SimulatorConfig, load_scenario, schemas};
+pub use config::{Backend, ScenarioConfig, SimulatorConfig, load_scenario, onboard, schemas};
 pub use disturbances::Disturbances;
-pub use flight::{Flight, Handed};
+pub use flight::Flight;
 pub use log::FlightLog;
 pub use outcome::{FlightResult, Loss, LossReason, Outcome};
 pub use plant::Plant;

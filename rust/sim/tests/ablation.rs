@@ -59,7 +59,7 @@ fn settings_that_change_nothing_leave_every_bit_of_a_flight() {
 #[test]
 fn a_configuration_is_written_out_with_every_default_and_without_absent_options() {
     let text = serde_json::to_string(&experiment("test2")).unwrap();
-    for key in ["disturbances", "aero_estimate", "engine", "joint_stops"] {
+    for key in ["disturbances", "aero_estimate", "backend", "joint_stops"] {
         assert!(text.contains(&format!("\"{key}\"")), "{key}");
     }
     assert!(!text.contains("null"), "{text}");

@@ -20,7 +20,6 @@ use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::Modes;
 use flight_core::control::config::Solver;
-use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::config::AeroKinematics;
 use flight_sim::disturbances::{FailureKind, JetFailure, OutageChannel, OutageKind};
@@ -202,7 +201,7 @@ fn a_tick_of_a_flight_does_not_allocate() {
             Some(JetFailure { jet: "chest_l_jet".into(), time: 0.3, kind: FailureKind::Off, decay: 0.1 });
     });
     let seen = with("test2_sensors", |config| {
-        config.controller.law.wind_observer = Some(WindObserverConfig {});
+        config.controller.law.wind_observer = true;
         config.simulator.duration = 1.0;
     });
     for (what, config, modes) in [("channels", predicted, 0b110_0111_1101), ("sensors", seen, 0)] {

@@ -5,7 +5,6 @@
 
 use crate::common::{assert_says, configs, experiment, robot};
 use flight_core::BuildError;
-use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value, load, load_aero};
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
@@ -128,7 +127,7 @@ fn what_may_be_absent_is_removed_by_false() {
         &folder,
         "flight.toml",
         &format!(
-            "base = {:?}\ncontroller = {{ engines = false }}\n",
+            "base = {:?}\ncontroller = {{ fault_detection.engines = false }}\n",
             configs("experiments/test2_observer.toml").canonicalize().unwrap()
         ),
     );
@@ -307,7 +306,7 @@ fn missing_and_ill_typed_keys_are_named() {
             json!("magic"),
             "is \"magic\"; expected one of semi_implicit_euler, explicit_euler",
         ),
-        ("simulator.jets.dynamics", json!("magic"), "is \"magic\"; expected one of ideal, second_order"),
+        ("simulator.jets.dynamics", json!("magic"), "is \"magic\"; expected one of ideal, throttled"),
         ("controller.qp.solver", json!("magic"), "is \"magic\"; expected one of active_set, clarabel"),
         (
             "controller.aero.model",
@@ -568,7 +567,7 @@ fn what_the_schema_refuses_cannot_be_built() {
     let mut flights: Vec<_> = shipped.iter().map(|file| json!(load_scenario(file).unwrap())).collect();
     // Tables that no shipped flight has.
     let mut own = json!(experiment("test2_observer"));
-    own["controller"]["wind_observer"] = json!(WindObserverConfig {});
+    own["controller"]["wind_observer"] = true.into();
     own["controller"]["torque"]["friction"] = json!({ "torso": 1.0 });
     own["simulator"]["fuel"] =
         json!({ "body": "chest", "mass": 1.0, "position": [0.0, 0.0, 0.0], "idle": 0.0, "by_thrust": 1e-5 });

@@ -6,7 +6,7 @@
 use crate::common::{assert_says, assert_within, at, experiment, robot};
 use flight_core::Controller;
 use flight_core::control::estimate::estimator::{EstimatorConfig, LatencyConfig};
-use flight_core::control::estimate::joint_tracker::{JointMeasurement, JointTracker, JointsBetween};
+use flight_core::control::estimate::joint_tracker::{InnerLoop, JointMeasurement, JointTracker};
 use flight_core::control::measure::channels::ChannelsConfig;
 use flight_core::control::{ControllerState, Modes};
 use flight_sim::sensors::EncoderConfig;
@@ -17,7 +17,7 @@ const PERIOD: f64 = 0.001;
 
 /// Position and velocity of a joint at rest after one update from these, whose measurements are zero.
 fn updated(tracker: &JointTracker, position: f64, velocity: f64, measured: [f64; 2]) -> [f64; 2] {
-    let mut joints = JointsBetween::new(1);
+    let mut joints = InnerLoop::new(1);
     (joints.position[0], joints.velocity[0]) = (position, velocity);
     let [at, speed] = measured;
     tracker.update(&mut joints, &JointMeasurement { position: &[at], velocity: &[speed] });
@@ -42,7 +42,7 @@ fn what_is_not_measured_is_predicted() {
     let tracker = JointTracker::new(None, &ChannelsConfig::default(), PERIOD);
     assert_eq!(updated(&tracker, 1.0, 2.0, [3.0, 4.0]), [3.0, 4.0]);
     assert_eq!(updated(&tracker, 1.0, 2.0, [f64::NAN, 1e300]), [1.0 + PERIOD * 2.0, 2.0]);
-    let mut joints = JointsBetween::new(1);
+    let mut joints = InnerLoop::new(1);
     joints.acceleration[0] = 5.0;
     tracker.update(&mut joints, &JointMeasurement { position: &[f64::NAN], velocity: &[f64::NAN] });
     assert_eq!((joints.velocity[0], joints.position[0]), (PERIOD * 5.0, PERIOD * (PERIOD * 5.0)));

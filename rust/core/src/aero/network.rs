@@ -16,9 +16,8 @@ mod mirror;
 mod mlp;
 mod tensors;
 
-pub use card::{
-    Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame, Unit, Weights,
-};
+pub use card::{Architecture, Baseline, Card, Inputs, Layout, Output, Unit, Weights};
+use card::{Feature, OutputFrame};
 pub(crate) use mlp::Layer;
 pub use tensors::{Tensor, Tensors};
 

@@ -53,7 +53,7 @@ impl Acting {
     pub(super) fn reduce(&mut self) {
         let each = self.torque.iter_mut().zip(&self.joint_torque).zip(&self.joints).zip(&self.friction);
         for (((acting, commanded), found), friction) in each {
-            *acting = found.share() * commanded - friction;
+            *acting = found.effectiveness() * commanded - friction;
         }
     }
 }

@@ -3,7 +3,6 @@
 use super::detect::FaultDetectionConfig;
 use super::estimate::disturbance_observer::DisturbanceObserverConfig;
 use super::estimate::estimator::EstimatorConfig;
-use super::estimate::wind_observer::WindObserverConfig;
 use super::law::attitude::MomentumGains;
 use super::law::bounds::BoundsConfig;
 use super::law::contact::ContactConfig;
@@ -71,8 +70,8 @@ pub struct ControllerConfig {
     pub estimator: Option<EstimatorConfig>,
     /// Wind observer, which estimates the wind from the force on the robot; without it the control law uses the
     /// measured wind.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub wind_observer: Option<WindObserverConfig>,
+    #[serde(default)]
+    pub wind_observer: bool,
     /// Observer of the wrench that no model of the controller contains; without it this wrench is taken as zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub disturbance_observer: Option<DisturbanceObserverConfig>,

@@ -4,7 +4,7 @@
 //! list below: the name of its table in `controller.fault_detection`, and its type. It reads the tick's [`Evidence`], and
 //! writes what the law may use into [`Limits`] and the rest into [`Findings`].
 
-pub mod detector;
+pub(crate) mod detector;
 pub mod engines;
 pub mod joints;
 pub mod latency;
@@ -37,45 +37,45 @@ macro_rules! detectors {
 
         /// The configured detectors.
         #[derive(Debug)]
-        pub struct Detectors {
+        pub(crate) struct Detectors {
             $($(#[doc = $doc])+ pub $name: Option<$detector>,)*
         }
 
         /// What detectors keep from tick to tick; of one that is not configured, nothing.
         #[derive(Debug, Clone, PartialEq)]
-        pub struct DetectorStates {
+        pub(crate) struct DetectorStates {
             $($(#[doc = $doc])+ pub $name: Option<<$detector as Detector>::State>,)*
         }
 
         impl Detectors {
             /// Builds those that are configured.
             #[must_use]
-            pub fn new(config: &FaultDetectionConfig, setup: &Setup) -> Self {
+            pub(crate) fn new(config: &FaultDetectionConfig, setup: &Setup) -> Self {
                 Self { $($name: config.$name.as_ref().map(|of| <$detector>::build(of, setup)),)* }
             }
 
             /// States at the start of a flight.
             #[must_use]
-            pub fn start(&self, estimate: &Estimate) -> DetectorStates {
+            pub(crate) fn start(&self, estimate: &Estimate) -> DetectorStates {
                 DetectorStates { $($name: self.$name.as_ref().map(|of| of.start(estimate)),)* }
             }
 
             /// Whether states have these parts and sizes.
             #[must_use]
-            pub fn fit(&self, states: &DetectorStates) -> bool {
+            pub(crate) fn fit(&self, states: &DetectorStates) -> bool {
                 $(self.$name.is_some() == states.$name.is_some()
                     && self.$name.as_ref().zip(states.$name.as_ref()).is_none_or(|(of, state)| of.fits(state)))&&*
             }
 
             /// Takes in what was measured, before an estimator replaces it.
-            pub fn measure(&self, states: &mut DetectorStates, measured: &Estimate) {
+            pub(crate) fn measure(&self, states: &mut DetectorStates, measured: &Estimate) {
                 $(if let Some((of, state)) = self.$name.as_ref().zip(states.$name.as_mut()) {
                     of.measure(state, measured);
                 })*
             }
 
             /// Compares a tick with what was commanded.
-            pub fn detect(
+            pub(crate) fn detect(
                 &mut self,
                 states: &mut DetectorStates,
                 tick: &Evidence,
@@ -90,7 +90,7 @@ macro_rules! detectors {
             }
 
             /// Takes in the command of the tick.
-            pub fn command(&self, states: &mut DetectorStates, command: &Command) {
+            pub(crate) fn command(&self, states: &mut DetectorStates, command: &Command) {
                 $(if let Some((of, state)) = self.$name.as_ref().zip(states.$name.as_mut()) {
                     of.command(state, command);
                 })*

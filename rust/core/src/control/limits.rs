@@ -20,7 +20,7 @@ pub enum JointCondition {
 impl JointCondition {
     /// Share of the commanded torque that acts; all of it at a stuck joint, whose bearing holds against it.
     #[must_use]
-    pub fn share(self) -> f64 {
+    pub fn effectiveness(self) -> f64 {
         match self {
             Self::Healthy | Self::Stuck => 1.0,
             Self::Weak(share) => share,

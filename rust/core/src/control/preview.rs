@@ -45,7 +45,7 @@ impl Preview<'_> {
             Some(before) => (self.setpoints[before].0, &self.setpoints[before].1),
         };
         let length = end - start;
-        Some(before.between(after, length, (time - start) / length))
+        Some(before.interpolate(after, length, (time - start) / length))
     }
 
     /// Change of the wind from the tick to a time after it \[s; m/s\].

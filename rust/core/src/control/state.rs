@@ -4,7 +4,7 @@ use super::acting::Acting;
 use super::detect::DetectorStates;
 use super::estimate::disturbance_observer::ObserverState;
 use super::estimate::estimator::EstimatorState;
-use super::estimate::joint_tracker::JointsBetween;
+use super::estimate::joint_tracker::InnerLoop;
 use super::estimate::wind_observer::WindState;
 use super::law::contact::ContactState;
 use super::law::plan::Plan;
@@ -49,7 +49,7 @@ pub struct ControllerState {
     /// Whether the rate limiter has a previous torque.
     pub(super) torque_is_known: bool,
     /// Joints between two ticks of the law.
-    pub(super) between: JointsBetween,
+    pub(super) inner_loop: InnerLoop,
     /// Whether the feet carry load, and their desired wrenches.
     pub(super) contact: ContactState,
     /// Observer of the wrench that a residual sees, without that of the disturbance observer; from the first residual on.

@@ -13,7 +13,7 @@ use super::command::{BadCommand, Command};
 use super::detect::Detectors;
 use super::estimate::disturbance_observer::{DisturbanceObserverConfig, ObserverState};
 use super::estimate::estimator::Estimator;
-use super::estimate::joint_tracker::{JointMeasurement, JointTracker, JointsBetween};
+use super::estimate::joint_tracker::{InnerLoop, JointMeasurement, JointTracker};
 use super::estimate::wind_observer::WindObserver;
 use super::law::contact::ContactState;
 use super::law::momentum::AeroFeedback;
@@ -123,7 +123,7 @@ impl Controller {
             velocity_error_integral: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
             torque_is_known: false,
-            between: JointsBetween::new(joints),
+            inner_loop: InnerLoop::new(joints),
             contact: ContactState::new(terms.contact.soles.len()),
             residual_observer: None,
             plan: law.predictive().map_or_else(|| Plan::none(0, jets), PredictiveLaw::no_plan),
@@ -169,18 +169,18 @@ impl Controller {
         if is_usable {
             law.solve(model, aero, state, &preview, terms, command);
             steer::steer(policy.as_mut(), given.residual, state, terms, command);
-            state.between.modes = command.modes;
+            state.inner_loop.modes = command.modes;
             torques.solve(state, terms, command);
         } else {
             command.modes.insert(Modes::MEASUREMENT_IGNORED);
             command.set_hold(command.modes);
-            state.between.modes = command.modes;
+            state.inner_loop.modes = command.modes;
         }
         command.set_throttle(&self.jets, &state.estimate, self.time_step);
         self.predict(state);
         let (acceleration, torque) = (&state.acting.acceleration, self.command.joint_torque.as_slice());
-        state.between.begin(&state.estimate.robot.state, torque, acceleration.rows_range(6..));
-        self.last_tick = state.between.tick_of_law;
+        state.inner_loop.begin(&state.estimate.robot.state, torque, acceleration.rows_range(6..));
+        self.last_tick = state.inner_loop.tick_of_law;
         &self.command
     }
 
@@ -192,8 +192,8 @@ impl Controller {
     /// sizes, keeps the torques and has another mode; the next one is as usual. With the state of another controller, or one with which this
     /// controller did not tick last, the command holds ([`Modes::STATE_IGNORED`]).
     pub fn tick_torques(&mut self, state: &mut ControllerState, measured: &JointMeasurement) -> &Command {
-        let is_last =
-            state.between.tick_of_law == self.last_tick && state.between.torque == self.command.joint_torque;
+        let is_last = state.inner_loop.tick_of_law == self.last_tick
+            && state.inner_loop.torque == self.command.joint_torque;
         if !self.fits(state) || !is_last {
             return self.refuse_state(state);
         }
@@ -201,17 +201,17 @@ impl Controller {
         let is_sized =
             [measured.position, measured.velocity].iter().all(|of| of.len() == state.posture.len());
         let nothing = JointMeasurement { position: &[], velocity: &[] };
-        joints.update(&mut state.between, if is_sized { measured } else { &nothing });
-        state.between.ticks += 1;
-        command.modes = state.between.modes;
+        joints.update(&mut state.inner_loop, if is_sized { measured } else { &nothing });
+        state.inner_loop.ticks += 1;
+        command.modes = state.inner_loop.modes;
         command.modes.insert_if(!is_sized, Modes::MEASUREMENT_IGNORED);
         if command.modes.contains(Modes::MEASUREMENT_IGNORED) {
             return &self.command;
         }
-        let velocity = std::mem::take(&mut state.between.velocity);
+        let velocity = std::mem::take(&mut state.inner_loop.velocity);
         torques.solve_again(velocity.as_slice(), state, terms, command);
-        state.between.velocity = velocity;
-        let left = torque_steps.saturating_sub(state.between.ticks);
+        state.inner_loop.velocity = velocity;
+        let left = torque_steps.saturating_sub(state.inner_loop.ticks);
         let share = f64::from(left) / f64::from(*torque_steps);
         self.change_torques(state, share);
         &self.command

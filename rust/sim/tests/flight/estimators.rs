@@ -3,7 +3,6 @@
 use crate::common::{assert_within, experiment, fly, outage, uniform_estimator};
 use flight_core::control::Modes;
 use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig};
-use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{Outcome, SensorsConfig};
@@ -37,7 +36,7 @@ fn a_late_robot_flies_with_an_estimator() {
 #[test]
 fn a_lost_thrust_sensor_is_no_wind() {
     let mut config = experiment("test2_observer");
-    config.controller.law.wind_observer = Some(WindObserverConfig {});
+    config.controller.law.wind_observer = true;
     config.simulator.duration = 14.0;
     let lost = outage(OutageChannel::Thrust, OutageKind::Missing, 8.0, None);
     config.disturbances.outages = vec![Outage { jet: Some("chest_l_jet".into()), ..lost }];
@@ -51,7 +50,7 @@ fn a_lost_thrust_sensor_is_no_wind() {
 #[test]
 fn a_robot_without_a_measured_wind_flies() {
     let mut config = experiment("test2_observer");
-    config.controller.law.wind_observer = Some(WindObserverConfig {});
+    config.controller.law.wind_observer = true;
     config.simulator.duration = 14.0;
     let result = fly(&[config]).remove(0);
     assert_eq!(result.outcome, Outcome::Completed);

@@ -2,13 +2,13 @@
 
 use super::{STILL, data, ramp_to, with};
 use crate::common::{assert_within, difference, experiment, fly, tick_at};
+use flight_core::control::Given;
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
 use flight_sim::outcome::Judge;
 use flight_sim::quantity::Dimension;
 use flight_sim::{
-    BatchError, FlightLog, FlightResult, Handed, Loss, LossReason, NoResult, Scenario, ScenarioConfig,
-    fly_batch,
+    BatchError, FlightLog, FlightResult, Loss, LossReason, NoResult, Scenario, ScenarioConfig, fly_batch,
 };
 use flight_sim::{FIGURES, Outcome, SIGNALS, Summary};
 use nalgebra::Vector3;
@@ -252,7 +252,7 @@ fn a_refused_command_changes_nothing() {
     let mut flight = Scenario::new(&config).unwrap().begin();
     for _ in 0..3 {
         let command = Some((&[0.0; 3][..], &[0.0; 23][..]));
-        assert!(flight.step_with(&Handed { command, ..Handed::default() }).is_err());
+        assert!(flight.step_with(&Given::default(), command).is_err());
         assert!(flight.step());
     }
     while flight.step() {}
@@ -375,53 +375,49 @@ fn a_touch_down_beyond_a_limit_is_a_crash() {
 #[test]
 fn numbers_that_physics_excludes_diverge() {
     type Spoil = fn(&mut ScenarioConfig);
+    type Commanded<'a> = Option<(&'a [f64], &'a [f64])>;
     let (surge, mut blow) = ([1e6; 4], [0.0; 23]);
     blow[6] = 300.0; // the left elbow
-    let spoilt: [(Spoil, Handed, LossReason, &str); 6] = [
+    let spoilt: [(Spoil, Commanded, LossReason, &str); 6] = [
         (
             |c| c.simulator.initial.base_velocity[1] = 301.0,
-            Handed::default(),
+            None,
             LossReason::Speed,
             "speed of base or air above 300 m/s",
         ),
         (
             |c| c.wind = flight_sim::WindConfig::Constant { velocity: [0.0, 301.0, 0.0] },
-            Handed::default(),
+            None,
             LossReason::Speed,
             "speed of base or air above 300 m/s",
         ),
         (
             |c| c.simulator.initial.base_velocity[4] = -101.0,
-            Handed::default(),
+            None,
             LossReason::AngularVelocity,
             "angular velocity above 100 rad/s",
         ),
         (
             |c| c.simulator.initial.joint_position[3] -= 8.0,
-            Handed::default(),
+            None,
             LossReason::JointPosition,
             "joint more than 6 rad beyond its stop",
         ),
-        (
-            |_| (),
-            Handed { command: Some((&surge, &[0.0; 23])), ..Handed::default() },
-            LossReason::Thrust,
-            "thrust above 10 times its greatest",
-        ),
+        (|_| (), Some((&surge, &[0.0; 23])), LossReason::Thrust, "thrust above 10 times its greatest"),
         (
             |c| c.simulator.joint_stops = false,
-            Handed { command: Some((&[0.0; 4], &blow)), ..Handed::default() },
+            Some((&[0.0; 4], &blow)),
             LossReason::JointVelocity,
             "joint velocity above 100 rad/s",
         ),
     ];
-    for (spoil, handed, reason, text) in spoilt {
+    for (spoil, command, reason, text) in spoilt {
         let config = with(short(0.5), |config| {
             config.simulator.initial.free_fall_tick = false;
             spoil(config);
         });
         let mut flight = Scenario::new(&config).unwrap().begin();
-        while flight.step_with(&handed).unwrap() {}
+        while flight.step_with(&Given::default(), command).unwrap() {}
         let flight = flight.result();
         let loss = flight.loss.unwrap();
         assert_eq!((flight.outcome, loss.reason), (Outcome::Diverged, reason));

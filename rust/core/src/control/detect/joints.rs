@@ -323,13 +323,13 @@ impl JointsState {
                 continue;
             }
             let has_moved = (self.position[joint] - now.position).abs() > MOVED;
-            let acting = last.share() + now.product / now.square;
+            let acting = last.effectiveness() + now.product / now.square;
             let greatest =
                 if last == JointCondition::Healthy { config.effectiveness_max } else { 1.0 + SHARE_ERROR };
             let found = if self.is_still(config, sample, joint) {
                 JointCondition::Stuck
             } else if has_moved && acting > -FREE_SHARE && acting < greatest {
-                JointCondition::of_share(acting)
+                JointCondition::of_effectiveness(acting)
             } else {
                 continue;
             };
@@ -391,7 +391,7 @@ impl JointsState {
 impl JointCondition {
     /// The condition of a joint at which this share of the torque acts.
     #[must_use]
-    pub fn of_share(share: f64) -> Self {
+    pub fn of_effectiveness(share: f64) -> Self {
         match share {
             _ if share < FREE_SHARE => Self::Free,
             _ if share > HEALTHY_SHARE => Self::Healthy,

@@ -69,7 +69,7 @@ pub struct ObserverState {
     /// The last measured momentum, and the modelled rate of the last tick.
     last: Option<MomentumSample>,
     /// Time \[s\] and modelled impulse \[N s, N m s\] from that momentum to the last tick.
-    between: (f64, Vector6<f64>),
+    pending: (f64, Vector6<f64>),
 }
 
 impl ObserverState {
@@ -91,7 +91,7 @@ impl ObserverState {
         sample: MomentumSample,
     ) -> Option<f64> {
         if matches!(sampling, Sampling::First | Sampling::Unknown) {
-            (self.last, self.between) = (None, <_>::default());
+            (self.last, self.pending) = (None, <_>::default());
             self.residual.fill(0.0);
         }
         match sampling {
@@ -106,7 +106,7 @@ impl ObserverState {
 
     /// Moves `ŵ` by a sample, and returns the time that it covers \[s\].
     fn update(&mut self, config: &DisturbanceObserverConfig, elapsed: f64, sample: MomentumSample) -> f64 {
-        let (waited, impulse) = std::mem::take(&mut self.between);
+        let (waited, impulse) = std::mem::take(&mut self.pending);
         let Some(last) = self.last.replace(sample) else { return elapsed };
         let rate =
             if waited > 0.0 { (impulse + elapsed * last.rate) / (waited + elapsed) } else { last.rate };
@@ -127,8 +127,8 @@ impl ObserverState {
     /// Sums the modelled momentum rate of a tick between two measurements.
     fn wait(&mut self, elapsed: f64, rate: Vector6<f64>) {
         if let Some(last) = &mut self.last {
-            self.between.0 += elapsed;
-            self.between.1 += elapsed * last.rate;
+            self.pending.0 += elapsed;
+            self.pending.1 += elapsed * last.rate;
             last.rate = rate;
         }
     }

@@ -24,7 +24,7 @@ pub struct JointMeasurement<'a> {
 
 /// Joints at the last tick of law or torques; a part of the controller's state.
 #[derive(Debug, Clone, PartialEq)]
-pub struct JointsBetween {
+pub struct InnerLoop {
     /// Positions \[rad, m\].
     pub position: DVector<f64>,
     /// Velocities \[rad/s, m/s\].
@@ -41,7 +41,7 @@ pub struct JointsBetween {
     pub tick_of_law: u64,
 }
 
-impl JointsBetween {
+impl InnerLoop {
     /// Joints of a controller that has not ticked.
     #[must_use]
     pub fn new(joints: usize) -> Self {
@@ -116,8 +116,8 @@ impl JointTracker {
     }
 
     /// Advances the joints to a measurement of them. Numbers that are not accepted correct nothing.
-    pub fn update(&self, joints: &mut JointsBetween, measured: &JointMeasurement) {
-        let JointsBetween { position, velocity, acceleration, .. } = joints;
+    pub fn update(&self, joints: &mut InnerLoop, measured: &JointMeasurement) {
+        let InnerLoop { position, velocity, acceleration, .. } = joints;
         velocity.axpy(self.period, acceleration, 1.0);
         position.axpy(self.period, velocity, 1.0);
         let innovation = |quantity: usize, measured: f64, predicted: f64| {

@@ -24,7 +24,6 @@ use crate::robot::RobotModel;
 use crate::spatial::{Pose, parts};
 use crate::timing::share;
 use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
-use serde::{Deserialize, Serialize};
 
 /// Step of the differences for the Jacobian \[m/s\]: large compared with the rounding of a network, small compared with
 /// relevant winds.
@@ -60,11 +59,6 @@ pub const RELATIVE_STD: f64 = 0.045;
 
 /// Lever arm that converts an unexplained moment to an unexplained force of the model \[m\].
 pub const MOMENT_ARM: f64 = 0.25;
-
-/// The wind is estimated; the numbers of the estimation are the constants of this file.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct WindObserverConfig {}
 
 /// Observer of the wind, with its workspace; its state is a [`WindState`].
 #[derive(Debug, Clone)]

@@ -27,7 +27,7 @@ pub struct RecordedMotion {
 impl RecordedMotion {
     /// The motion at the share `s` of the way to another one, `h` \[s\] later and turned by `turn_b` \[rad\] (M49).
     #[must_use]
-    pub fn between(&self, other: &Self, turn_b: &Vector3<f64>, h: f64, s: f64) -> Self {
+    pub fn interpolate(&self, other: &Self, turn_b: &Vector3<f64>, h: f64, s: f64) -> Self {
         let (a, b) = (self, other);
         let cubic =
             |order: usize| hermite([a.com[order], a.com[order + 1], b.com[order], b.com[order + 1]], h, s);
@@ -151,7 +151,7 @@ impl Recording {
         };
         let h = self.times[next] - self.times[before];
         let s = (time - self.times[before]) / h;
-        a.between(b, &self.turns_b[before], h, s)
+        a.interpolate(b, &self.turns_b[before], h, s)
     }
 }
 

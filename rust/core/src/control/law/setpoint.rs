@@ -202,10 +202,10 @@ impl Setpoint {
     /// The set-point at the share `s` of the way to another one, `h` \[s\] later: as between samples of a recording
     /// (M49), the other derivatives linear.
     #[must_use]
-    pub fn between(&self, other: &Self, h: f64, s: f64) -> Self {
+    pub fn interpolate(&self, other: &Self, h: f64, s: f64) -> Self {
         let turn_b = log_so3(&(self.rotation.transpose() * other.rotation));
         Self::of_motion(
-            &self.motion().between(&other.motion(), &turn_b, h, s),
+            &self.motion().interpolate(&other.motion(), &turn_b, h, s),
             self.angular_acceleration_b.lerp(&other.angular_acceleration_b, s),
             self.angular_jerk_b.lerp(&other.angular_jerk_b, s),
         )

@@ -138,9 +138,9 @@ impl TorqueQp {
     pub fn limit(&mut self, joints: &[JointCondition]) {
         let forces = self.foot_force.len();
         for (joint, (found, torque_max)) in joints.iter().zip(&self.torque_max).enumerate() {
-            let most = found.share() * torque_max;
+            let most = found.effectiveness() * torque_max;
             (self.problem.lower[forces + joint], self.problem.upper[forces + joint]) = (-most, most);
-            self.roots[forces + joint] = found.share() * self.weight_acceleration.sqrt();
+            self.roots[forces + joint] = found.effectiveness() * self.weight_acceleration.sqrt();
         }
     }
 
@@ -155,7 +155,7 @@ impl TorqueQp {
         inverse_mass: &InverseMass,
     ) -> f64 {
         if found != JointCondition::Free {
-            return torques[joint] / found.share();
+            return torques[joint] / found.effectiveness();
         }
         let gain = inverse_mass.joint_gain.column(joint);
         let others: f64 = gain.iter().zip(torques).map(|(gain, torque)| gain * torque).sum();

@@ -53,8 +53,8 @@ impl Controller {
         let (of_estimator, dynamics) = (config.estimator.as_ref(), config.jet_dynamics);
         let estimator = |config| Estimator::new(config, robot.clone(), dynamics, aero.clone(), time_step);
         let estimator = of_estimator.map(estimator).transpose()?;
-        let wind =
-            config.wind_observer.map(|_| WindObserver::new(robot.clone(), aero.clone())).transpose()?;
+        let observes_wind = config.wind_observer.then(|| WindObserver::new(robot.clone(), aero.clone()));
+        let wind = observes_wind.transpose()?;
         config.disturbance_observer.map_or(Ok(()), |observer| observer.check(time_step))?;
         let momentum_fractions =
             estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_fractions);

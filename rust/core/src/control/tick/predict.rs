@@ -55,15 +55,15 @@ impl Controller {
     /// Corrects what was predicted: the torques of the command act for a `share` of the tick in place of the last ones.
     pub(super) fn change_torques(&mut self, state: &mut ControllerState, share: f64) {
         let Self { terms, command, change, .. } = self;
-        let ControllerState { acting, between, contact, .. } = state;
+        let ControllerState { acting, inner_loop, contact, .. } = state;
         let is_used = terms.inverse_mass.is_known && !contact.is_active; // under load, as in `replace_command`
         change.fill(0.0);
         for (joint, torque) in command.joint_torque.iter().enumerate() {
-            let more = torque - between.torque[joint];
-            between.torque[joint] = *torque;
+            let more = torque - inner_loop.torque[joint];
+            inner_loop.torque[joint] = *torque;
             if is_used {
                 acting.joint_torque[joint] += share * more;
-                change[6 + joint] = acting.joints[joint].share() * more;
+                change[6 + joint] = acting.joints[joint].effectiveness() * more;
             }
         }
         if !is_used {
@@ -71,7 +71,7 @@ impl Controller {
         }
         terms.inverse_mass.multiply_in_place(change);
         acting.acceleration.axpy(share, change, 1.0);
-        between.acceleration += change.rows_range(6..);
+        inner_loop.acceleration += change.rows_range(6..);
         acting.reduce();
         if let Some(memory) = &mut state.estimator {
             memory.replace_command(acting);
@@ -99,7 +99,7 @@ impl Controller {
                 change.fill(0.0);
                 let torques = joint_torque.iter().zip(&acting.joint_torque).zip(&acting.joints);
                 for (entry, ((new, old), found)) in change.as_mut_slice()[6..].iter_mut().zip(torques) {
-                    *entry = found.share() * (new - old);
+                    *entry = found.effectiveness() * (new - old);
                 }
                 inverse_mass.multiply_in_place(change);
                 acting.acceleration += &*change;
@@ -107,7 +107,7 @@ impl Controller {
             acting.set_torque(joint_torque.iter().copied());
         }
         acting.thrust_rate.copy_from_slice(thrust_rate);
-        state.between.replace_torque(joint_torque, acting.acceleration.rows_range(6..));
+        state.inner_loop.replace_torque(joint_torque, acting.acceleration.rows_range(6..));
         if let Some(memory) = &mut state.estimator {
             memory.replace_command(acting);
         }
