@@ -335,9 +335,13 @@ impl Knot {
             for (column, of) in [(V, &model.rate_v), (THETA, &model.rate_theta), (K, &model.rate_k)] {
                 by.fixed_view_mut::<3, 3>(row, column).copy_from(&(of.fixed_rows::<3>(first) * scale));
             }
-            by.view_mut((row, T), (3, jets)).copy_from(&(model.rate_t.rows(first, 3) * scale));
-            by.view_mut((row, s), (3, joints)).copy_from(&(model.rate_s.rows(first, 3) * scale));
-            by.view_mut((row, n + jets), (3, joints)).copy_from(&(model.rate_sigma.rows(first, 3) * scale));
+            let of_inputs = [(T, &model.rate_t), (s, &model.rate_s), (n + jets, &model.rate_sigma)];
+            for (column, of) in of_inputs {
+                for (place, of) in of.column_iter().enumerate() {
+                    by.fixed_view_mut::<3, 1>(row, column + place)
+                        .copy_from(&(of.fixed_rows::<3>(first) * scale));
+                }
+            }
         }
         x_dot.fixed_rows_mut::<3>(THETA).copy_from(&omega);
         by.fixed_view_mut::<3, 3>(THETA, THETA).copy_from(&(skew(&omega) + model.omega_theta));
