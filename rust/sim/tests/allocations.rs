@@ -204,7 +204,17 @@ fn a_tick_of_a_flight_does_not_allocate() {
         config.controller.law.wind_observer = true;
         config.simulator.duration = 1.0;
     });
-    for (what, config, modes) in [("channels", predicted, 0b110_0111_1101), ("sensors", seen, 0)] {
+    let falling = with("robot_nonlinear", |config| {
+        config.simulator.duration = 1.0;
+        config.disturbances.jets.failure =
+            Some(JetFailure { jet: "l_arm_jet".into(), time: 0.3, kind: FailureKind::Off, decay: 0.0 });
+    });
+    let cases = [
+        ("channels", predicted, 0b110_0111_1101),
+        ("sensors", seen, 0),
+        ("a descent", falling, 0b110_0000_0000),
+    ];
+    for (what, config, modes) in cases {
         let mut flight = Scenario::new(&config).unwrap().begin();
         let mut counted = 0;
         for tick in 0..tick_at(1.0) {

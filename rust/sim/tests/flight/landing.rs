@@ -6,30 +6,37 @@ use flight_sim::disturbances::{FailureKind, JetFailure};
 use flight_sim::{FlightResult, Outcome, Scenario};
 use std::ops::ControlFlow;
 
-/// When the engine stops: hovering in the wind, 5 m above the start \[s\].
-const LOSS: f64 = 18.0;
+/// When the engine stops: hovering in the wind, 5 m above the start, and at 7.5 m/s \[s\].
+const HOVERING: f64 = 18.0;
+const FAST: f64 = 28.0;
 
-/// A flight in which a jet stops at once; on the way down distances weigh what is shipped, or as much \[1/m²\].
-fn fly_without(jet: &str, of_distances: Option<f64>) -> FlightResult {
-    let config = with(experiment("robot"), |config| {
-        config.simulator.duration = LOSS + 18.0;
+/// A flight in which a jet stops at once; without the nonlinear plan, distances weigh as much on the way down \[1/m²\].
+fn fly_without(jet: &str, time: f64, of_distances: Option<f64>) -> FlightResult {
+    let config = with(experiment("robot_nonlinear"), |config| {
+        config.simulator.duration = time + 18.0;
         config.disturbances.jets.failure =
-            Some(JetFailure { jet: jet.into(), time: LOSS, kind: FailureKind::Off, decay: 0.0 });
-        let descent = config.controller.law.mpc.as_mut().unwrap().descent.as_mut().unwrap();
-        descent.clearance = of_distances.or(descent.clearance);
+            Some(JetFailure { jet: jet.into(), time, kind: FailureKind::Off, decay: 0.0 });
+        let mpc = config.controller.law.mpc.as_mut().unwrap();
+        if of_distances.is_some() {
+            mpc.nonlinear_descent = None;
+            mpc.descent.as_mut().unwrap().clearance = of_distances;
+        }
     });
     Scenario::new(&config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap()
 }
 
-/// It lands without any one engine; where the exhausts keep as clear of the legs as in flight, not without one of an arm.
+/// It lands without any one engine. The linear plan does not without one of an arm where the exhausts keep as clear of the
+/// legs as in flight, nor where it is lost in fast flight.
 #[test]
 fn a_robot_lands_without_an_engine() {
-    for (jet, of_distances, outcome) in [
-        ("chest_l_jet", None, Outcome::Landed),
-        ("r_arm_jet", None, Outcome::Landed),
-        ("r_arm_jet", Some(5000.0), Outcome::Crashed),
+    for (jet, time, of_distances, outcome) in [
+        ("chest_l_jet", HOVERING, None, Outcome::Landed),
+        ("r_arm_jet", HOVERING, None, Outcome::Landed),
+        ("r_arm_jet", HOVERING, Some(5000.0), Outcome::Crashed),
+        ("l_arm_jet", FAST, None, Outcome::Landed),
+        ("l_arm_jet", FAST, Some(300.0), Outcome::Crashed),
     ] {
-        let flight = fly_without(jet, of_distances);
-        assert_eq!(flight.outcome, outcome, "{jet}, {of_distances:?}: {:?}", flight.loss);
+        let flight = fly_without(jet, time, of_distances);
+        assert_eq!(flight.outcome, outcome, "{jet}, {time}, {of_distances:?}: {:?}", flight.loss);
     }
 }
