@@ -60,7 +60,7 @@ def test_what_runs_on_board_names_no_simulator():
         np.array([0.0, 0.0, 0.8]), np.eye(3), flown["simulator"]["initial"]["joint_position"], np.zeros(29)
     )
     ticks = [rust.Controller(one).tick(state, [98.0] * 4, np.zeros(3)) for one in (alone, flown)]
-    np.testing.assert_array_equal(*(tick.command.joint_torque for tick in ticks))
+    np.testing.assert_array_equal(*(tick.joint_torque for tick in ticks))
     with pytest.raises(ValueError, match="unknown key `wind`"):
         rust.Controller({**alone, "wind": flown["wind"]})
 
