@@ -79,7 +79,7 @@ REFUSED = {
 @pytest.mark.parametrize("key", REFUSED)
 def test_what_the_crate_alone_flies_is_refused(key):
     table = rust.load_config("test2_observer", {key: REFUSED[key], "simulator.substeps": 5})
-    with pytest.raises(ValueError, match=rf"`{key}` is .*; expected .*; the crate flies it \(`engine = \"rust\"`\)"):
+    with pytest.raises(ValueError, match=rf"`{key}` is .*; expected .*; the crate flies it \(`backend = \"rust\"`\)"):
         sim.prepare(table, dtype=np.float32)
 
 
