@@ -47,10 +47,10 @@ def probe(missing):
 
 
 def probe_documents():
-    from tests.project import test_docs
+    from tests.project import test_docs, test_recipes
 
     for page in test_docs.PAGES:
-        test_docs.test_shown_commands_name_what_exists(page)
+        test_recipes.test_shown_commands_name_what_exists(page)
     test_docs.test_links_of_generated_pages_lead_to_pages_and_pictures()
 
 

@@ -4,10 +4,10 @@
 
 use crate::common::{Running, at, experiment, random_state, rng};
 use flight_core::Measurement;
+use flight_core::aero::LinkConventions;
 use flight_core::control::Present;
 use flight_core::control::mpc::clearance::Clearance;
-use flight_core::control::mpc::nonlinear::World;
-use flight_core::control::mpc::nonlinear::knot::{Expansion, Knot, State};
+use flight_core::control::mpc::nonlinear::knot::{Expansion, Knot, State, World};
 use flight_core::control::mpc::nonlinear::riccati::Riccati;
 use flight_core::spatial::exp_so3;
 use flight_io::{load_aero, load_robot};
@@ -61,7 +61,8 @@ fn the_expansion_is_that_of_differences() {
         let jets = robot.jet_models(config.controller.law.jet_dynamics);
         let mut knot = Knot::new(descent, &mpc, robot, jets, joints, clearance);
         let posture = controller.state().posture();
-        let world = World { robot, conventions: Default::default(), air: mpc.air, now, posture, speed: 0.5 };
+        let world =
+            World { robot, conventions: LinkConventions::default(), air: mpc.air, now, posture, speed: 0.5 };
         knot.begin(&world);
         let mut state = State::new(4, knot.joints.len());
         state.set_from(&now, &knot.joints);
@@ -176,7 +177,7 @@ fn the_backward_pass_finds_the_least_cost() {
     let (steps, gains) = (&mut steps[..m], &mut gains[..m * n]);
     assert!(riccati.solve(one, &known[..m], &bounds, 0.0, (&mut *steps, &mut *gains)));
     let (least, inputs) = cost_of(one, (n, m), (steps, gains), &known[..m]);
-    assert!(inputs.iter().any(|input| input.abs() == 0.05), "{inputs:?}");
+    assert!(inputs.iter().any(|input| input.abs() >= 0.05), "{inputs:?}");
     for _ in 0..200 {
         let away: Vec<f64> = inputs.iter().map(|input| rng.random_range(-0.05..=0.05) - input).collect();
         assert!(cost_of(one, (n, m), (steps, gains), &away).0 >= least - 1e-12);

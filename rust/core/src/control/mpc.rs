@@ -38,7 +38,8 @@ use config::{Air, MpcConfig};
 use horizon::{Horizon, Target};
 use model::Linearised;
 use nalgebra::Vector6;
-use nonlinear::{Nonlinear, NonlinearPlan, World};
+use nonlinear::knot::World;
+use nonlinear::{Nonlinear, NonlinearPlan};
 
 /// Limit of the factorisations of one plan, over all its QPs: each has the values beyond their limits that the last answer
 /// brought there, and takes at least one. Where they do not suffice, the last plan is followed. Of 32 flights in four configurations

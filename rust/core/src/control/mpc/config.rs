@@ -1,7 +1,7 @@
 //! Configuration of the predictive law.
 
 use super::clearance::{Clearance, ClearanceConfig};
-use super::nonlinear::NonlinearConfig;
+use super::nonlinear::config::NonlinearConfig;
 use crate::aero::{AeroModel, LinkConventions};
 use crate::error::{BuildError, Table, check_values_by_name, place_of};
 use crate::robot::RobotModel;

@@ -1,11 +1,11 @@
 //! The dynamics at a knot, the motion to the next one, and the cost, both expanded.
 
-use super::{NonlinearConfig, World};
-use crate::aero::{AeroModel, LinkForces};
+use super::config::NonlinearConfig;
+use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::momentum::{AeroFeedback, MomentumModel};
 use crate::control::measure::measurement::Measurement;
 use crate::control::mpc::clearance::Clearance;
-use crate::control::mpc::config::MpcConfig;
+use crate::control::mpc::config::{Air, MpcConfig};
 use crate::control::mpc::model::{self, Linearised};
 use crate::control::terms::Present;
 use crate::dynamics::Dynamics;
@@ -15,6 +15,23 @@ use crate::linalg;
 use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, log_so3, skew};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
+
+/// What does not change along a plan.
+#[derive(Debug, Clone, Copy)]
+pub struct World<'a> {
+    /// The controller's model.
+    pub robot: &'a RobotModel,
+    /// Points at which its links' forces act.
+    pub conventions: LinkConventions,
+    /// Whether the wrench of the air changes in the expansion.
+    pub air: Air,
+    /// Where the plan begins.
+    pub now: Present<'a>,
+    /// The posture \[rad\].
+    pub posture: &'a DVector<f64>,
+    /// Speed of the descent \[m/s\].
+    pub speed: f64,
+}
 
 /// Places in the state: velocity, rotation, angular momentum, thrusts.
 const V: usize = 1;
@@ -46,6 +63,7 @@ pub struct State {
 }
 
 impl State {
+    /// Returns a state at zero, of a number of jets and of planned joints.
     #[must_use]
     pub fn new(jets: usize, joints: usize) -> Self {
         Self {
@@ -78,6 +96,7 @@ impl State {
         }
     }
 
+    /// Takes the values of another state.
     pub fn copy_from(&mut self, other: &Self) {
         let Self { height, velocity, rotation, momentum, .. } = other;
         (self.height, self.velocity, self.rotation, self.momentum) =
@@ -87,6 +106,7 @@ impl State {
         self.joints.copy_from_slice(&other.joints);
     }
 
+    /// Takes the values of the present; `joints` are the places of the planned ones.
     pub fn set_from(&mut self, now: &Present, joints: &[usize]) {
         let (terms, robot) = (now.terms, &now.estimate.robot);
         let momentum = &terms.dynamics.momentum;
@@ -108,14 +128,18 @@ impl State {
 pub struct Expansion {
     /// `(A B)`, n × (n + m), and its transpose.
     pub dynamics: Vec<f64>,
+    /// The same, transposed.
     pub transposed: Vec<f64>,
+    /// Cost of the knot.
     pub cost: f64,
+    /// Its derivative by state and inputs.
     pub gradient: Vec<f64>,
     /// (n + m) × (n + m).
     pub hessian: Vec<f64>,
 }
 
 impl Expansion {
+    /// Returns one of `n` states and `m` inputs at zero.
     #[must_use]
     pub fn new(n: usize, m: usize) -> Self {
         let w = n + m;
@@ -154,6 +178,7 @@ pub struct Knot {
     config: NonlinearConfig,
     /// Weights of a thrust beyond its range \[1/N²\] and of a joint beyond its limits \[1/rad²\].
     excess: [f64; 2],
+    /// Places of the planned joints.
     pub joints: Vec<usize>,
     jets: Vec<JetModel>,
     works: Vec<bool>,
@@ -175,6 +200,7 @@ pub struct Knot {
 }
 
 impl Knot {
+    /// Returns the knots' dynamics and cost, with their workspace.
     #[must_use]
     pub fn new(
         config: &NonlinearConfig,
@@ -240,6 +266,7 @@ impl Knot {
         }
     }
 
+    /// Second derivative of a thrust \[N/s²\].
     #[must_use]
     pub fn acceleration(&self, jet: usize, thrust: f64, rate: f64, input: f64) -> f64 {
         let (least, greatest) = self.range(jet, thrust, rate);
