@@ -25,14 +25,45 @@ text = "the key engine = 3"
 """
 NEW = """
 base = "test1_observer"
-backend = "rust"  # a comment
+backend = "rust"   # a comment
 controller = { disturbance_observer.gain_force = 2.0, fault_detection.engines = { confirmation = 0.1 } }
-[controller.fault_detection.tracking_error] # limits
+[controller.fault_detection.tracking_error]   # limits
 position = 0.6
 [simulator.jets]
 dynamics = "throttled"
 [disturbances.joints_of_a_text]
 text = "the key engine = 3"
+"""
+
+SWEEP = """
+set = { "controller.engines" = false, engine = "jax" }
+robot = "engine.toml"
+[[axis]]
+key = "controller.supervisor.position"  # engine = 3
+level = [
+    { label = "engine", set = { "controller.joints" = { share_max = 0.5 } } },
+    ["engine"],
+    { label = 'a "b\\', set = { simulator.jets = { dynamics = 'second_order' } } },
+]
+[[axis.level]]
+set.controller.observer = { gain_force = 2.0 }
+[[claim]]
+outcomes = ["completed", "descended"]
+"""
+NEW_SWEEP = """
+set = { "controller.fault_detection.engines" = false, backend = "jax" }
+robot = "engine.toml"
+[[axis]]
+key = "controller.fault_detection.tracking_error.position"  # engine = 3
+level = [
+    { label = "engine", set = { "controller.fault_detection.joints" = { effectiveness_max = 0.5 } } },
+    ["engine"],
+    { label = 'a "b\\', set = { simulator.jets = { dynamics = 'throttled' } } },
+]
+[[axis.level]]
+set.controller.disturbance_observer = { gain_force = 2.0 }
+[[claim]]
+outcomes = ["completed", "landed"]
 """
 
 
@@ -45,10 +76,7 @@ def test_a_file_of_a_part_and_a_sweep():
     assert rename.toml("[joints]\nshare_max = 0.7\n", ("controller",))[0] == (
         "[fault_detection.joints]\neffectiveness_max = 0.7\n"
     )
-    sweep = 'set = { "controller.engines" = false }\n[[claim]]\noutcomes = ["completed", "descended"]\n'
-    assert rename.toml(sweep, ())[0] == (
-        'set = { "controller.fault_detection.engines" = false }\n[[claim]]\noutcomes = ["completed", "landed"]\n'
-    )
+    assert rename.toml(SWEEP, ()) == (NEW_SWEEP, [])
 
 
 def test_a_tick_is_moved_by_its_user(tmp_path, capsys):
@@ -57,6 +85,14 @@ def test_a_tick_is_moved_by_its_user(tmp_path, capsys):
     path.write_text("time_step = 0.005\n")
     assert rename.main([str(path)]) == 2
     assert "`simulator.time_step` is `controller.time_step` now" in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_read_is_refused(tmp_path, capsys):
+    path = tmp_path / "own.toml"
+    path.write_text('engine = "rust"]')
+    assert rename.main([str(path)]) == 2
+    assert "own.toml" in capsys.readouterr().err
+    assert path.read_text() == 'engine = "rust"]'
 
 
 @pytest.mark.parametrize("new", renamed.KEYS.values())
