@@ -5,9 +5,11 @@ The colours are from the palette of Okabe and Ito, which colour-blind readers ca
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,10 +157,10 @@ def shadow_of(solid: Solid) -> Solid:
     return solid._replace(position=lifted, stretch=flatten @ solid.stretch, colour=SHADOW)
 
 
-class Scene:
+class Scene(AbstractContextManager["Scene"]):
     """What the pictures of a flight show, of a size [pixels]; a ghost is another flight, drawn translucent.
 
-    `offscreen.Studio` and `painter.Painter` draw it; they are context managers.
+    `offscreen.Studio` and `painter.Painter` draw it.
     """
 
     def __init__(
@@ -177,15 +179,9 @@ class Scene:
             for flight in flights
         ]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Nothing is held."""
-
+    @abstractmethod
     def picture(self, time: float, camera: Camera, *, trail: bool = True) -> NDArray[np.uint8]:
         """Return the picture at a time [s], (height, width, 3), without text."""
-        raise NotImplementedError
 
     def pixels_per_metre(self, camera: Camera) -> float:
         """Return the scale of the picture at the distance of the point looked at [pixels/m]."""

@@ -29,6 +29,9 @@ class Painter(Scene):
     def __init__(self, recording: Recording, width: int, height: int, ghost: Recording | None = None) -> None:
         super().__init__(recording, width, height, ghost, SEGMENTS)
 
+    def __exit__(self, *_: object) -> None:
+        """Nothing is held."""
+
     def picture(self, time: float, camera: Camera, *, trail: bool = True) -> NDArray[np.uint8]:
         """Return the picture at a time [s], (height, width, 3), without text."""
         canvas, bodies = _Canvas(self.width, self.height, camera), list(self.bodies(time))

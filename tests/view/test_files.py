@@ -13,7 +13,8 @@ import pytest
 from jax_aero import __main__ as commands
 from jax_aero.base import places
 from jax_aero.view import Refused, cli, offscreen, recording, video
-from jax_aero.view.drawing import GHOST, Scene, camera_at
+from jax_aero.view.drawing import GHOST, camera_at
+from jax_aero.view.painter import Painter
 from tests.view.conftest import near
 
 av = pytest.importorskip("av", reason="PyAV is not installed: make setup")
@@ -151,7 +152,7 @@ def test_a_ghost_flies_in_the_same_picture(seen):
     with offscreen.Studio(seen, 160, 96, ghost=later) as studio:
         picture = studio.picture(12.0, camera_at(seen, 12.0, "chase", 3.3))
         ghosts = [solid.position for solid in studio.bodies(12.0) if solid.colour == GHOST]
-    alone = [solid.position for solid in Scene(seen, 160, 96).bodies(13.0)]
+    alone = [solid.position for solid in Painter(seen, 160, 96).bodies(13.0)]
     np.testing.assert_array_equal(ghosts, alone[: len(seen.look.shapes)])
     blue = picture[..., 2].astype(int) - picture[..., 0]
     assert blue[:6].mean() > 2.0 * blue[-6:].mean(), "the sky is above, and the ground is grey"
