@@ -7,7 +7,6 @@ here again.
 from __future__ import annotations
 
 import ctypes
-import json
 import tempfile
 from collections.abc import Iterator, Mapping
 from ctypes import POINTER, Structure, c_char_p, c_double, c_size_t, c_uint32, c_void_p, sizeof
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.base import places
+from jax_aero.base import places, plain
 from jax_aero.base.result import FlightResult
 from jax_aero.base.terminal import Refused
 from jax_aero.verify import Row, compare
@@ -94,7 +93,7 @@ def commands(config: Mapping[str, Any], flight: FlightResult, path: Path) -> lis
     header = _Header(library.flight_version(), *sizes)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "flight.toml"
-        file.write_text("\n".join(f"{key} = {_toml(value)}" for key, value in config.items() if value is not None))
+        file.write_text(plain.toml(config), encoding="utf-8")
         controller = create(header, bytes(file), message, len(message))
     if controller is None:
         raise Refused(f"{path}: {message.value.decode()}; expected the library of this version: {BUILD}")
@@ -130,12 +129,3 @@ def _measurements(flight: FlightResult) -> Iterator[_Measurement]:
 
 def _pointer(numbers: np.ndarray) -> Any:
     return numbers.ctypes.data_as(Numbers)
-
-
-def _toml(value: Any) -> str:
-    """Return a value of a configuration as TOML in a line."""
-    if isinstance(value, Mapping):
-        return (
-            f"{{{', '.join(f'{json.dumps(key)} = {_toml(part)}' for key, part in value.items() if part is not None)}}}"
-        )
-    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else json.dumps(value)
