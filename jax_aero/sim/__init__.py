@@ -8,13 +8,10 @@ from jax_aero.control import Command, Controller, Measurement
 from jax_aero.sim.batch import fly_batch
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.preparation import prepare
-from jax_aero.sim.programs import keep_programs
 from jax_aero.sim.rollout import fly, keep_row, rollout, run
 from jax_aero.sim.scenario import Scenario, convert_precision
 from jax_aero.sim.signals import FlightRow
 from jax_aero.sim.step import FlightState, begin, step
-
-keep_programs()
 
 __all__ = [
     "COMPILER_OPTIONS",

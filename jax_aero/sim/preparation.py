@@ -22,6 +22,7 @@ from jax_aero.sim import plant as world
 from jax_aero.sim.disturbances import configured
 from jax_aero.sim.model_error import controller_model
 from jax_aero.sim.outcome import FallLimits
+from jax_aero.sim.programs import keep_programs
 from jax_aero.sim.scenario import Scenario, convert_precision
 from jax_aero.sim.step import FlightState, begin
 from jax_aero.sim.wind import wind_model
@@ -42,12 +43,11 @@ def prepare(
 ) -> tuple[Scenario, FlightState]:
     """Return a scenario and its state at the first tick. Call it outside loops, since it computes tables and noise.
 
-    Fault detection is the crate's alone: its detectors (`controller.channels`,
-    `controller.fault_detection`, `mpc.descent`) do nothing here: a flight is the crate's as
-    long as the crate's signal `degraded_modes` has no mode but those of solvers. Refused by key, since the crate alone
-    flies them (`backend = "rust"`), are faults that it answers: outages, faulty joints, and jets that
-    fail or do not reach their thrust if the controller has `fault_detection.engines`; so are fuel, ground, motors and
-    torques of a second rate.
+    Fault detection is the crate's alone: `controller.channels`, `controller.fault_detection` and `mpc.descent` do
+    nothing here, and a flight is the crate's as long as its signal `degraded_modes` has no mode but those of solvers.
+    Refused by key, since the crate alone flies them (`backend = "rust"`), are outages, faulty joints, jets that fail or
+    do not reach their thrust if the controller has `fault_detection.engines`, fuel, ground, motors and torques of a
+    second rate.
 
     Parameters
     ----------
@@ -76,6 +76,7 @@ def prepare(
             "dtype is float64, but JAX computes in single precision here; "
             "expected a call inside `with jax.enable_x64(True):`, or dtype=np.float32"
         )
+    keep_programs()
     config = read_config(config)
     if robot is None:
         robot = load_robot(config.robot)

@@ -1,7 +1,7 @@
 """Compiled programs, kept in the user's cache folder for the next process.
 
-JAX's own setting goes first: with `JAX_COMPILATION_CACHE_DIR`, or `jax.config.jax_compilation_cache_dir` set before
-`jax_aero.sim` is imported, programs are kept there; with `JAX_ENABLE_COMPILATION_CACHE=false` nowhere.
+JAX's own setting goes first: with `JAX_COMPILATION_CACHE_DIR`, or `jax.config.jax_compilation_cache_dir` set before the
+first flight is prepared, programs are kept there; with `JAX_ENABLE_COMPILATION_CACHE=false` nowhere.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,12 @@ def _processor() -> str:
 
 
 def keep_programs() -> None:
-    """Let JAX keep what it compiles for a second and longer, unless the user has said where."""
+    """Let JAX keep what it compiles for a second and longer, unless the user has said where or nothing can be kept."""
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None:
-        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        config.update("jax_compilation_cache_dir", str(root / "jax-aero" / _processor()))
+        with suppress(OSError, RuntimeError):  # `Path.home` raises the latter for a user without a home
+            root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+            folder = root / "jax-aero" / _processor()
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK):
+                config.update("jax_compilation_cache_dir", str(folder))

@@ -24,3 +24,12 @@ def test_the_folder_that_is_given_stays(setting, tmp_path):
     setting(str(tmp_path / "mine"))
     keep_programs()
     assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine")
+
+
+def test_a_folder_that_cannot_be_made_is_not_used(setting, monkeypatch, tmp_path):
+    """JAX would warn of every program."""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    setting(None)
+    keep_programs()
+    assert jax.config.jax_compilation_cache_dir is None
