@@ -176,9 +176,9 @@ def fly_sections(
 ) -> Iterator[Section]:
     """Yield the ticks of a flight as JAX flies them, the last section with its last tick repeated."""
     log = crate.log
-    measured = states_of(log, "raw_", log["raw_base_rotation"])
+    measured = states_of(log, "raw_")
     given = Logged(
-        states_of(log, "", rust.rotation_from_wxyz(log["base_quaternion"])),
+        states_of(log),
         jnp.asarray(log["thrust"]),
         Measurement(jnp.asarray(log["time"]), measured, jnp.asarray(log["raw_thrust"]), jnp.asarray(log["raw_wind"])),
     )
@@ -258,7 +258,7 @@ def _round_velocities(
     `torque` is what the rounding and the twin's solver change of the command [N m], (ticks, n).
     """
     rng, robot, dt = np.random.default_rng(2), rust.Robot(config["robot"]), config["controller"]["time_step"]
-    states = states_of(crate.log, "", rust.rotation_from_wxyz(crate["base_quaternion"]))
+    states = states_of(crate.log)
     velocity, rounded = np.asarray(states.velocity), np.array(states.velocity)
     for tick, accelerated in enumerate(np.diff(velocity, axis=0) / dt):
         state = rust.State(*(np.asarray(part[tick]) for part in states))
@@ -331,11 +331,12 @@ def compare_flight(crate: FlightResult, twin: FlightResult, rounded: FlightResul
     return float(crate["time"][ticks - 1]), rows
 
 
-def states_of(log: Mapping[str, NDArray[np.float64]], prefix: str, rotation: NDArray[np.float64]) -> State:
-    """Return the states of a log, of the robot or as its sensors measure it (`raw_`), for given rotations.
+def states_of(log: Mapping[str, NDArray[np.float64]], prefix: str = "") -> State:
+    """Return the states of a log, of the robot or as its sensors measure it (`raw_`).
 
     They are arrays of NumPy: JAX's would be rounded to single precision where double is not on.
     """
+    rotation = log["raw_base_rotation"] if prefix else rust.rotation_from_wxyz(log["base_quaternion"])
     position, velocity, joints, speeds = (
         log[prefix + name] for name in ("base_position", "base_velocity", "joint_position", "joint_velocity")
     )

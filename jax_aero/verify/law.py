@@ -72,7 +72,7 @@ def law_of(config: Mapping[str, Any]) -> tuple[MomentumController, RobotModel]:
 
 def follow_law(params: MomentumController, model: RobotModel, flown: Recorded) -> dict[str, Any]:
     """Return the signals of the law along a flight."""
-    measured = states_of(flown.crate.log, "raw_", flown.crate["raw_base_rotation"])
+    measured = states_of(flown.crate.log, "raw_")
     memory = init(params, model, jax.tree.map(lambda leaf: leaf[0], measured))
     signals: dict[str, Any] = jax.device_get(_follow(params, model, memory, flown.handed, flown.wrench))
     return signals

@@ -15,9 +15,9 @@ from jax_aero import rust
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import qp, tick
-from jax_aero.train.identify import states_of
 from jax_aero.types import Setpoint, State
 from jax_aero.verify import SOLUTIONS
+from jax_aero.verify.flight import states_of
 from jax_aero.verify.ticks import crate_quantity, tick_quantities
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -188,7 +188,7 @@ def flown(x64):
     """Two seconds of a flight as the crate's simulator logged them, from its first tick."""
     twin = Twin("test2", {"simulator.duration": 2.0, "wind.ramp_start": 0.2, "wind.ramp_end": 1.0})
     log = rust.fly(twin.table).log
-    return twin, log, (log["time"], states_of(log, slice(None)), log["thrust"], log["wind"])
+    return twin, log, (log["time"], states_of(log), log["thrust"], log["wind"])
 
 
 def follow(twin, measurements, params):

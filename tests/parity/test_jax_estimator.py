@@ -17,8 +17,8 @@ from jax_aero.control.estimate.estimator import Order
 from jax_aero.control.measurement import Reading
 from jax_aero.control.tick import momentum_controller, replace_command
 from jax_aero.sim import sensors
-from jax_aero.train.identify import states_of
 from jax_aero.types import State
+from jax_aero.verify.flight import states_of
 
 EXPERIMENT = "test2_sensors"
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
@@ -42,7 +42,7 @@ def test_both_estimate_the_same_state(x64, agree_with_the_log):
     settings = estimator.estimator(config.controller.estimator, time_step)
     air = aero_model(config.controller.aero, robot)
 
-    truth = Reading(states_of(flown.log, slice(None)), flown["thrust"])
+    truth = Reading(states_of(flown.log), flown["thrust"])
     orders = Order(*(flown[name] for name in ("joint_torque", "thrust_rate", "unmodelled_wrench", "measured_wind")))
     rows = jax.tree.map(jnp.asarray, (truth, orders, np.arange(ticks)))
 

@@ -16,8 +16,8 @@ from jax_aero.control.mpc.clearance import distances
 from jax_aero.control.mpc.horizon import Target, horizon
 from jax_aero.control.mpc.model import linearise
 from jax_aero.control.preview import Preview
-from jax_aero.train.identify import states_of
 from jax_aero.types import Setpoint, State
+from jax_aero.verify.flight import states_of
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -129,7 +129,7 @@ def flown(x64):
     changes |= {"disturbances.aero_estimate.scale": 3.0}
     table, robot, params = flight(changes | {"wind.ramp_start": -1.0, "wind.ramp_end": 0.3})
     log = rust.fly(table).log
-    states = states_of(log, slice(None))
+    states = states_of(log)
 
     @jax.jit
     def along(wind):

@@ -11,7 +11,7 @@ from jax_aero import rust
 from jax_aero.base.typed import scenario_config
 from jax_aero.control.measurement import Reading
 from jax_aero.sim.sensors import read, sensors
-from jax_aero.train.identify import states_of
+from jax_aero.verify.flight import states_of
 
 EXPERIMENT = "test2_observer"
 SENSORS = {
@@ -41,7 +41,7 @@ def test_both_read_the_same(x64, agree_with_the_log):
     first["joint_position"] = [round((math.floor(s / step) + 0.5) * step, 6) for s in first["joint_position"]]
     flown = rust.fly(table)
     config = scenario_config(table)
-    truth = Reading(states_of(flown.log, slice(None)), jnp.asarray(flown["thrust"]))
+    truth = Reading(states_of(flown.log), jnp.asarray(flown["thrust"]))
     ticks = len(flown["time"])
     errors = sensors(config.simulator.sensors, jnp.asarray(config.controller.time_step), ticks - 1, 23, 4)
     before = errors.start(jax.tree.map(lambda x: x[0], truth))

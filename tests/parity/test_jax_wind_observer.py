@@ -15,7 +15,7 @@ from jax_aero.body.kinematics import frame_poses, kinematics
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import cross, rotate
 from jax_aero.control.estimate import wind_observer
-from jax_aero.train.identify import states_of
+from jax_aero.verify.flight import states_of
 
 EXPERIMENT = "test2_observer"
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
@@ -30,7 +30,7 @@ def replayed(x64):
     config, robot = scenario_config(table), load_robot(table["robot"])
     air = aero_model(config.controller.aero, robot)
     step = jnp.asarray(config.controller.time_step)
-    rows = states_of(flown.log, slice(None)), jnp.asarray(flown["thrust"])
+    rows = states_of(flown.log), jnp.asarray(flown["thrust"])
 
     @jax.jit
     def replay(force):
