@@ -114,7 +114,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--anyway", action="store_true", help="write a robot that does not explain its log")
     about = "perturbation whose half widths are the errors of the robot's file (default unknown_robot)"
     parser.add_argument("--prior", default="unknown_robot", metavar="NAME", help=about)
-    parser.add_argument("--propose", action="store_true", help="say what a log of each axis in motion would teach")
+    parser.add_argument("--propose", action="store_true", help="say how much a log of each axis in motion would add")
     parser.add_argument("--excite", metavar="AXES", help=f"write a mission that moves some of {','.join(excite.AXES)}")
     cli.add_name(parser, "that of the first log")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/identify)")
@@ -147,61 +147,60 @@ def _identify(given: argparse.Namespace) -> int:
         known = identify_robot(config, source, signals, prior, given.mass, is_predicted=given.predict is not None)
         robot, found, judged = known.robot, known.found, known.verdict
         shown = _places(robot, found, words)
-        numbers = numbers_of(robot, np.where(shown, found.value, 0.0))
+        rows = records(robot, found, shown)
         wind = "measured" if has_wind else "taken as none" if given.still_air else "found as constant"
         digest = hashlib.sha256(
             b"".join(np.ascontiguousarray(log[name]).tobytes() for log in signals for name in samples.MEASURED)
         ).hexdigest()
+        facts = {
+            "sha256": digest,
+            "explained": judged.is_explained,
+            "wind": wind,
+            "samples": sum(int(np.sum(log.weight)) for log in known.logs),
+            "left_out": known.left_out,
+            "conflicts": judged.conflicts,
+            "held_out": [row._asdict() for row in judged.rows],
+            "numbers": rows,
+        }
         with complete_folder(folder, replace=given.overwrite) as draft:
-            found_rows = records(robot, found, shown)
-            facts = {
-                "sha256": digest,
-                "believed": judged.is_believed,
-                "wind": wind,
-                "samples": sum(int(np.sum(log.weight)) for log in known.logs),
-                "left_out": known.left_out,
-                "conflicts": judged.conflicts,
-                "held_out": [row._asdict() for row in judged.rows],
-                "numbers": found_rows,
-            }
-            (draft / "numbers.json").write_text(
-                json.dumps(facts, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
-            )
+            text = json.dumps(facts, indent=1, ensure_ascii=False) + "\n"
+            (draft / "numbers.json").write_text(text, encoding="utf-8")
         _draw(known, folder / "held_out.png")
         for reason, count in known.left_out.items():
             print(f"{count} of {sum(len(log.weight) for log in known.logs)} samples left out: {reason}")
         print(f"wind: {wind}")
         print(text_table(tested(judged)))
         print(f"numbers leave {judged.improvement:.2g} times less of the base's accelerations than the file")
-        if not judged.is_believed:
-            _doubt(known, config, source, signals, prior, given.mass)
-        if not judged.is_believed and not given.anyway:
-            print(f"{folder / 'numbers.json'}: not believed; no robot is written without --anyway")
-            return 1
-        notes = [f"{row['name']}: {describe(row)}" for row in found_rows]
-        doubts = [] if judged.is_believed else ["The model does not explain the log."]
+        if not judged.is_explained:
+            _print_reasons(known, config, source, signals, prior, given.mass)
+            if not given.anyway:
+                print(f"{folder / 'numbers.json'}: the log is not explained; no robot is written without --anyway")
+                return 1
+        numbers = numbers_of(robot, np.where(shown, found.value, 0.0))
         result.write_perturbation(folder, numbers_of(robot, found.deviation))
         result.write_experiment(folder, config, robot, numbers)
-        notes = [f"Found by jax-aero identify in logs with sha256 {digest}.", *doubts, *notes]
+        notes = [
+            f"Found by jax-aero identify in logs with sha256 {digest}.",
+            *([] if judged.is_explained else ["The model does not explain the log."]),
+            *(f"{row['name']}: {describe(row)}" for row in rows),
+        ]
         result.write_robot(folder, source, robot, numbers, notes)
-    table = [
-        (row["name"], describe(row), f"{row['share']:.2f}{'' if row['found'] else ', not found'}") for row in found_rows
-    ]
+    table = [(row["name"], describe(row), f"{row['share']:.2f}{'' if row['found'] else ', not found'}") for row in rows]
     print(text_table([("difference from the file", "value, 95 % interval", "share of the data"), *table]))
     if config["controller"]["fault_detection"].get("latency"):
         computed = rust.replay({**config, "robot": str(folder / "robot.toml"), "disturbances": {}}, signals[0])
         for key, (median, deviation) in samples.latencies(computed).items():
             print(f"latency of the {key}s by the controller's monitor: {1e3 * median:.1f} ± {1e3 * deviation:.1f} ms")
-    for share, direction in found.unlearned():
+    names = [name for name, *_ in labels(robot)]
+    for share, direction in found.undetermined():
         largest = np.argsort(-np.abs(direction))[:4]
-        names = labels(robot)
-        mix = " ".join(f"{direction[place]:+.2f} {names[place][0]}" for place in largest if abs(direction[place]) > 0.1)
+        mix = " ".join(f"{direction[place]:+.2f} {names[place]}" for place in largest if abs(direction[place]) > 0.1)
         print(f"{100.0 * share:.0f} % of the prior's variance is left along {mix}")
     if given.propose:
         with jax.enable_x64(True):
             print(text_table(proposals({**config, "robot": str(source), "disturbances": {}}, known)))
     print(f"fly it: jax-aero fly {folder / 'experiment.toml'}")
-    return int(not judged.is_believed)
+    return int(not judged.is_explained)
 
 
 def _check_mass(mass: float | None, robot: RobotModel, widths: Perturbation) -> None:
@@ -214,13 +213,12 @@ def _check_mass(mass: float | None, robot: RobotModel, widths: Perturbation) -> 
         raise Refused(f"--mass is {mass:g} kg; expected {expected}{' (g?)' if mass > 100.0 * stated else ''}")
 
 
-def _doubt(
+def _print_reasons(
     known: Identified, config: rust.Config, source: Path, signals: Sequence[Signals], prior: Numbers, mass: float | None
 ) -> None:
-    """Say why a log is not believed, and which mistakes would explain it."""
-    for row in known.verdict.rows:
-        if row.ratio > row.bound:
-            print(f"{row.name} is {row.ratio:.1f} times what sensors explain; expected at most {row.bound:.1f}")
+    """Print what of a log is not explained, and which mistake would explain it."""
+    for row in known.verdict.unexplained:
+        print(f"{row.name} is {row.ratio:.1f} times what sensors explain; expected at most {row.bound:.1f}")
     for conflict in known.verdict.conflicts:
         print(f"{conflict} is more than the file's stated error allows")
     found = mistake(known, config, source, signals, prior, mass)
@@ -230,7 +228,7 @@ def _doubt(
 def mistake(
     known: Identified, config: rust.Config, source: Path, signals: Sequence[Signals], prior: Numbers, mass: float | None
 ) -> str | None:
-    """Return the usual mistake without which the first log is believed, if there is one."""
+    """Return the usual mistake without which the first log is explained, if there is one."""
     robot, model = rust.Robot(source), known.robot
     zero = numbers_of(model, np.zeros(known.found.value.size))
     guesses = (zero, numbers_of(model, known.found.value))
@@ -241,19 +239,19 @@ def mistake(
         some = Samples(*(part[:: max(len(part) // verdict.SOME, 1)][: verdict.SOME] for part in log))
         scores.append((min(verdict.score(model, known.aero, guess, some) for guess in guesses), text, changed))
     for _, text, changed in sorted(scores, key=lambda one: one[0])[: verdict.TRIED]:
-        if identify_robot(config, source, [changed], prior, mass).verdict.is_believed:
+        if identify_robot(config, source, [changed], prior, mass).verdict.is_explained:
             return text
     weight = identify.scale_of(model)[0]
     carried = prior._replace(wrench=np.maximum(prior.wrench, weight * np.eye(6)[2]))
     again = identify_robot(config, source, signals[:1], carried, mass)
     load = float(numbers_of(model, again.found.value).wrench[2])
-    if load < verdict.LOAD * weight or again.verdict.rows_broken:
+    if load < verdict.LOAD * weight or again.verdict.unexplained:
         return None
     return f"a load of {load:.0f} N on the feet, or a rope"
 
 
 def proposals(config: rust.Config, known: Identified) -> list[tuple[str, str, str]]:
-    """Return what a log of each manoeuvre of one axis would teach, the best first; each is flown in the experiment."""
+    """Return what a log of each manoeuvre of one axis would add, the best first; each is flown in the experiment."""
     robot, found, aero = known.robot, known.found, known.aero
     rows, names = [], [name for name, *_ in labels(robot)]
     numbers = numbers_of(robot, found.value)
@@ -302,7 +300,7 @@ def identify_robot(
     *,
     is_predicted: bool = False,
 ) -> Identified:
-    """Return the robot that logs of the file's robot tell of, and whether they are explained.
+    """Return the robot whose logs these are, by differences from the file's, and whether they are explained.
 
     `robot` is another model to start from than that of the file. `is_predicted` holds the last log out, in place of the
     last third of each.
@@ -318,19 +316,18 @@ def identify_robot(
     for log in signals:
         one, reasons = samples.sample(log, config, file, stands)
         if not stands and not reasons.get("feet loaded"):
-            load = identify._unexplained(robot, aero, zero, one)[:, 2] / identify.scale_of(robot)[0]
+            load = identify.unexplained(robot, aero, zero, one)[:, 2] / identify.scale_of(robot)[0]
             ground = samples.grounded(load, np.linalg.norm(one.linear_velocity, axis=1)) & (one.weight > 0.0)
             one = one._replace(weight=one.weight * ~ground)
             reasons |= {"feet loaded": int(ground.sum())} if ground.any() else {}
         if one.weight.sum() * samples.PERIOD < samples.LEAST:
-            told = ", ".join(f"{count} by {reason}" for reason, count in reasons.items())
-            expected = f"{samples.LEAST:g} s that the equations of flight cover; left out: {told}"
+            counts = ", ".join(f"{count} by {reason}" for reason, count in reasons.items())
+            expected = f"{samples.LEAST:g} s that the equations of flight cover; left out: {counts}"
             raise Refused(f"a log has {one.weight.sum() * samples.PERIOD:g} s of flight; expected {expected}")
         left_out = {name: left_out.get(name, 0) + reasons.get(name, 0) for name in {**left_out, **reasons}}
         every.append(one)
         again.append(samples.sample(samples.with_noise_again(log), config, file, stands)[0])
-    shares = [float(not is_predicted)] * len(every)
-    known = [_part(one.weight, (1.0 - HELD_OUT) if share else 1.0) for one, share in zip(every, shares, strict=True)]
+    known = [_part(one.weight, 1.0 if is_predicted else 1.0 - HELD_OUT) for one in every]
     if is_predicted:
         known[-1] = 0
     weighed = None if mass is None else (mass, SCALE_ERROR * mass)
@@ -341,7 +338,7 @@ def identify_robot(
 
 
 class Identified(NamedTuple):
-    """What logs tell of a robot.
+    """What was found of a robot.
 
     Attributes
     ----------
@@ -395,7 +392,7 @@ def labels(robot: RobotModel) -> list[tuple[str, str, float]]:
 
 
 def _places(robot: RobotModel, found: Found, words: Sequence[str]) -> NDArray[np.bool_]:
-    """Return which numbers these words of `--only` show, of those that the data may tell."""
+    """Return which numbers these words of `--only` show, of those that the data may determine."""
     names = {name for word in words for name in GROUPS[word]}
     return np.array([label.split(".")[0] in names for label, *_ in labels(robot)]) & (found.prior > 0.0)
 
@@ -422,7 +419,7 @@ def records(robot: RobotModel, found: Found, shown: NDArray[np.bool_]) -> list[R
 def intervals(robot: RobotModel, found: Found) -> tuple[Array, Array]:
     """Return the intervals of all numbers, `INTERVAL` likely.
 
-    Errors of a file are uniform in `UNIFORM`, of friction from zero, so that what the data alone tell is cut there.
+    Errors of a file are uniform in `UNIFORM`, of friction from zero, so that what the data alone give is cut there.
     """
     is_free = found.prior > 0.0
     before, after = np.where(is_free, found.prior, 1.0), np.where(is_free, found.deviation, 1.0)

@@ -1,4 +1,4 @@
-"""Manoeuvres that teach: recorded references with some axes in motion, which `jax-aero fly` flies as missions."""
+"""Manoeuvres for identification: references with some axes in motion, which `jax-aero fly` flies as missions."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from experiments import Refused
 from experiments.replay import on_its_feet
@@ -152,9 +153,7 @@ def sample(
     torque_late = -float((estimator.get("latency") or {}).get("torque", 0.0)) - 0.5 * float(np.median(np.diff(time)))
     joints, rates = signals["raw_joint_position"], late("base_angular_velocity")
     wind = signals.get("raw_wind", np.full((time.size, 3), np.nan))
-    feet = np.zeros((time.size, 6 + joints.shape[1]))
-    if with_feet:
-        feet = _of_feet(signals, robot)
+    feet = _of_feet(signals, robot) if with_feet else np.zeros((time.size, 6 + joints.shape[1]))
     found = Samples(
         weight=(~np.any(list(near.values()), axis=0)).astype(float),
         position_rate=smooth(signals["raw_base_position"], late("base_position"), 1),
@@ -247,8 +246,8 @@ def with_noise_again(signals: Mapping[str, Array]) -> dict[str, Array]:
         rows = signals[name].reshape(len(signals[name]), int(np.prod(signals[name].shape[1:])))
         size = np.sqrt(np.nanmean(np.diff(rows, 3, axis=0) ** 2, axis=0) / 20.0)
         if name == "raw_base_rotation":
-            turn = exp_so3_of(np.sqrt(np.sum(size**2) / 6.0) * rng.normal(size=(len(rows), 3)))
-            found[name] = signals[name] @ turn
+            turns = np.sqrt(np.sum(size**2) / 6.0) * rng.normal(size=(len(rows), 3))
+            found[name] = signals[name] @ Rotation.from_rotvec(turns).as_matrix()
         else:
             found[name] = signals[name] + (size * rng.normal(size=rows.shape)).reshape(signals[name].shape)
     return found
@@ -258,14 +257,6 @@ def turn_of(rotations: Array) -> Array:
     """Return the turns of rotations by small angles [rad], (k, 3)."""
     places = ((2, 1), (0, 2), (1, 0))
     return 0.5 * np.stack([rotations[:, row, column] - rotations[:, column, row] for row, column in places], axis=1)
-
-
-def exp_so3_of(turns: Array) -> Array:
-    """Return rotations by small angles [rad], (k, 3, 3)."""
-    x, y, z = turns.T
-    zero = np.zeros_like(x)
-    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    return np.asarray(np.eye(3) + skew)
 
 
 def grounded(load: Array, speed: Array) -> NDArray[np.bool_]:

@@ -4,8 +4,8 @@
     bound² = 1 + q √(2 (n⁴/ν_n + f⁴/ν_f)) / (n² + f²)
 
 `n` is what the residual changes by when the log's own noise, which third differences of its rows show, is added to it
-once more. `f` is the floor of the estimate with the uncertainty of the numbers, which last; `ν` count samples that are
-independent, and `q` is a deviation of the normal distribution that no right row of a log exceeds.
+once more. `f` has the estimate's `unmodelled_variance` and the uncertainty of the numbers, which last; `ν` count
+samples that are independent, and `q` is a deviation of the normal distribution that no right row of a log exceeds.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.identify.samples import PERIOD
+from experiments.identify.samples import PERIOD, turn_of
 from jax_aero import rust
 from jax_aero.aero import AeroModel
 from jax_aero.body.robot import RobotModel
@@ -33,7 +33,7 @@ CERTAIN = 5.0
 """`q`: rows are many, and what no number explains is not normal."""
 LASTING = 2.0
 """Time over which what no number explains stays the same [s]: that of turbulence."""
-TOLD = 0.9
+LEAST_ROW = 0.9
 """Least time of a row by which a log is judged [s]."""
 KINEMATIC = (0.03, 0.02)
 """Deviation of velocities and turning from the derivatives of pose, by sensors askew or late [m/s, rad/s]."""
@@ -66,14 +66,14 @@ class Verdict(NamedTuple):
     conflicts: list[str]
 
     @property
-    def is_believed(self) -> bool:
+    def is_explained(self) -> bool:
         """Return whether every row keeps its bound and no number is in conflict."""
-        return not self.conflicts and not self.rows_broken
+        return not self.conflicts and not self.unexplained
 
     @property
-    def rows_broken(self) -> list[str]:
-        """Return the names of rows that do not keep their bound."""
-        return [row.name for row in self.rows if row.ratio > row.bound]
+    def unexplained(self) -> list[Row]:
+        """Return the rows that exceed their bound."""
+        return [row for row in self.rows if row.ratio > row.bound]
 
     @property
     def improvement(self) -> float:
@@ -93,17 +93,24 @@ def judge(
     names: Sequence[str],
 ) -> Verdict:
     """Return the verdict on numbers that the first `known` samples of logs gave; `again` have their noise twice."""
-    squares: dict[str, Any] = dict.fromkeys(("measured", "file", "found", "error", "noise", "floor", "weight"), 0.0)
+    total: Any = 0.0
+    squares: dict[str, Any] = dict.fromkeys(("measured", "file", "found", "error", "noise", "unmodelled"), 0.0)
     for log, more, (before, _), (left, spread, weight), count in zip(
         logs, again, found.residuals, found.held_out, known, strict=True
     ):
         if count == len(log.weight):
             continue
         end, noisy = (Samples(*(part[count:] for part in one)) for one in (log, more))
-        noise = identify._unexplained(robot, aero, numbers, noisy) - identify._unexplained(robot, aero, numbers, end)
+        noise = identify.unexplained(robot, aero, numbers, noisy) - identify.unexplained(robot, aero, numbers, end)
         mass = identify.mass_matrices(robot, aero, numbers, end)
-        still = numbers._replace(air=-np.ones_like(numbers.air))
-        air = identify._unexplained(robot, aero, still, end) - left
+        air = identify.air_of(robot, aero, numbers, end, left)
+        variance = np.concatenate(
+            [
+                identify.unmodelled_variance(robot, air) + spread**2,
+                np.tile(np.square(np.repeat(KINEMATIC, 3)), (len(left), 1)),
+            ],
+            axis=1,
+        )
         apart = _kinematic(end)
         rows = {
             "measured": np.concatenate([measured(end), np.asarray(end.linear_velocity), _turning(end)], axis=1),
@@ -111,25 +118,24 @@ def judge(
             "found": np.concatenate([accelerations(mass, left), apart], axis=1),
             "error": np.concatenate([left, apart], axis=1),
             "noise": np.concatenate([noise, _kinematic(noisy) - apart], axis=1),
+            "unmodelled": np.sqrt(variance),
         }
-        floor = np.sqrt(identify.floor_of(robot, air) + spread**2)
-        floor = np.concatenate([floor, np.tile(np.repeat(KINEMATIC, 3), (len(floor), 1))], axis=1)
         weight = np.concatenate([weight, np.tile(np.asarray(end.weight)[:, None], 6)], axis=1)
-        for key, part in (rows | {"floor": floor, "weight": np.sqrt(weight)}).items():
-            squares[key] = squares[key] + np.sum((weight if key != "weight" else 1.0) * np.square(part), axis=0)
-    if np.ndim(squares["weight"]) == 0:
-        return Verdict([], conflicts_of(found, names))
-    total = np.maximum(squares["weight"], 1e-9)
-    of = {key: np.sqrt(part / total) for key, part in squares.items()}
-    noise, floor = of["noise"] ** 2, np.maximum(of["floor"] ** 2, 1e-30)
-    independent = np.maximum(total / 1.3, 1.0), np.maximum(total * PERIOD / LASTING, 1.0)
-    spread = np.sqrt(2.0 * (noise**2 / independent[0] + floor**2 / independent[1]))
-    ratio, bound = of["error"] / np.sqrt(noise + floor), np.sqrt(1.0 + CERTAIN * spread / (noise + floor))
-    table = []
-    for place, (name, unit) in enumerate(labels(robot)):
-        if squares["weight"][place] * PERIOD > TOLD:
-            of_row = [float(part[place]) for part in (of["measured"], of["file"], of["found"], ratio, bound)]
-            table.append(Row(name, unit, *of_row))
+        total = total + weight.sum(axis=0)
+        for key, part in rows.items():
+            squares[key] = squares[key] + np.sum(weight * np.square(part), axis=0)
+    count = np.maximum(total, 1e-9)
+    mean = {key: part / count for key, part in squares.items()}
+    noise, lasting = mean["noise"], np.maximum(mean["unmodelled"], 1e-30)
+    spread = noise**2 / np.maximum(count / 1.3, 1.0) + lasting**2 / np.maximum(count * PERIOD / LASTING, 1.0)
+    ratio = np.sqrt(mean["error"] / (noise + lasting))
+    bound = np.sqrt(1.0 + CERTAIN * np.sqrt(2.0 * spread) / (noise + lasting))
+    columns = [*(np.sqrt(mean[key]) for key in ("measured", "file", "found")), ratio, bound]
+    table = [
+        Row(name, unit, *(float(column[place]) for column in columns))
+        for place, (name, unit) in enumerate(labels(robot))
+        if total[place] * PERIOD > LEAST_ROW
+    ]
     return Verdict(table, conflicts_of(found, names))
 
 
@@ -144,11 +150,12 @@ def conflicts_of(found: Found, names: Sequence[str]) -> list[str]:
 
 def labels(robot: RobotModel) -> list[tuple[str, str]]:
     """Return name and unit of every row."""
-    found = [(f"acceleration {axis}", "m/s²") for axis in "xyz"] + [
-        (f"acceleration r{axis}", "rad/s²") for axis in "xyz"
+    return [
+        *((f"acceleration {axis}", "m/s²") for axis in "xyz"),
+        *((f"acceleration {name}", "rad/s²") for name in ("rx", "ry", "rz", *robot.joint_names)),
+        *((f"velocity {axis}", "m/s") for axis in "xyz"),
+        *((f"turning r{axis}", "rad/s") for axis in "xyz"),
     ]
-    found += [(f"acceleration {name}", "rad/s²") for name in robot.joint_names]
-    return found + [(f"velocity {axis}", "m/s") for axis in "xyz"] + [(f"turning r{axis}", "rad/s") for axis in "xyz"]
 
 
 def accelerations(mass: Array, residual: Array) -> Array:
@@ -173,10 +180,7 @@ def _kinematic(log: Samples) -> Array:
     """Return by what rates of position and attitude differ from the measured ones (k, 6)."""
     rotation = np.asarray(log.rotation)
     turn = np.einsum("kba,kbc->kac", rotation[:-1], rotation[1:])
-    axis = 0.5 * np.stack(
-        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1
-    )
-    apart = np.concatenate([axis / PERIOD - _turning(log)[:-1], np.zeros((1, 3))])
+    apart = np.concatenate([turn_of(turn) / PERIOD - _turning(log)[:-1], np.zeros((1, 3))])
     return np.concatenate([np.asarray(log.position_rate) - np.asarray(log.linear_velocity), apart], axis=1)
 
 
@@ -276,10 +280,10 @@ def _upside_down(signals: Signals, base: bool) -> Signals:
 
 
 def score(robot: RobotModel, aero: AeroModel, numbers: Numbers, log: Samples) -> float:
-    """Return how badly numbers explain a log: the logarithm of what every row leaves, above the floor."""
-    left = identify._unexplained(robot, aero, numbers, log)
-    floor = identify.floor_of(robot, np.zeros_like(left))[0]
+    """Return how badly numbers explain a log: the logarithm of what every row leaves and of what no number explains."""
+    left = identify.unexplained(robot, aero, numbers, log)
+    variance = identify.unmodelled_variance(robot, np.zeros_like(left))[0]
     squares = np.concatenate(
-        [np.mean(left**2, axis=0) + floor, np.mean(_kinematic(log) ** 2, axis=0) + np.repeat(KINEMATIC, 3) ** 2]
+        [np.mean(left**2, axis=0) + variance, np.mean(_kinematic(log) ** 2, axis=0) + np.repeat(KINEMATIC, 3) ** 2]
     )
     return float(np.sum(np.log(squares)))

@@ -12,7 +12,7 @@ chapter 7.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, li
 from jax_aero.body.dynamics import dynamics
 from jax_aero.body.kinematics import generalised_thrust, kinematics
 from jax_aero.body.robot import RobotModel
-from jax_aero.body.spatial import exp_so3, rotation_from_wxyz
+from jax_aero.body.spatial import exp_so3
 from jax_aero.types import Array, State
 
 SLIP = 0.03
@@ -56,7 +56,7 @@ CHUNK = 50
 
 
 class Numbers(NamedTuple):
-    """What a log may tell of a robot; zero is what its file states."""
+    """Numbers of a robot that a log may determine; zero is what its file states."""
 
     mass: Float[Any, ""]
     """Of all masses and inertias, relative."""
@@ -142,22 +142,11 @@ class Found(NamedTuple):
         share: np.ndarray = 1.0 - (self.deviation / np.where(self.prior > 0.0, self.prior, 1.0)) ** 2
         return share
 
-    def unlearned(self, count: int = 3) -> list[tuple[float, np.ndarray]]:
+    def undetermined(self, count: int = 3) -> list[tuple[float, np.ndarray]]:
         """Return the directions, in units of the prior, that the data determine least, and their share of the prior."""
         scale = np.where(self.prior > 0.0, self.prior, 1.0)
         shares, directions = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         return [(float(shares[-k]), directions[:, -k]) for k in range(1, count + 1)]
-
-
-def states_of(log: Mapping[str, Float[np.ndarray, "ticks ..."]], ticks: Any) -> State:
-    """Return the states of a log at the given ticks."""
-    velocity = np.concatenate([log["base_velocity"][ticks], log["joint_velocity"][ticks]], axis=1)
-    return State(
-        base_position=jnp.asarray(log["base_position"][ticks]),
-        base_rotation=rotation_from_wxyz(jnp.asarray(log["base_quaternion"][ticks])),
-        joint_position=jnp.asarray(log["joint_position"][ticks]),
-        velocity=jnp.asarray(velocity),
-    )
 
 
 def across(axis: Float[Array, "3"]) -> Float[Array, "3 2"]:
@@ -182,9 +171,18 @@ def robot_with(robot: RobotModel, numbers: Numbers) -> RobotModel:
     )
 
 
-def unexplained(robot: RobotModel, aero: AeroModel, numbers: Numbers, now: Samples) -> Float[Array, " N"]:
-    """Return what acts on the robot unexplained in one sample: on the base about its origin, and on the joints."""
-    return _inertial(robot, aero, numbers, now)[0]
+def unexplained(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N"]:
+    """Return what acts on the robot unexplained in every sample: on the base about its origin, and on the joints."""
+    return _by_chunks(lambda part: _residuals(robot, aero, numbers, part)[0], samples)
+
+
+def air_of(
+    robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples, left: Float[np.ndarray, "k N"]
+) -> Float[np.ndarray, "k N"]:
+    """Return the forces of the air, without which so much more than `left` is unexplained."""
+    without = numbers._replace(air=-jnp.ones_like(jnp.asarray(numbers.air)))
+    air: np.ndarray = unexplained(robot, aero, without, samples) - left
+    return air
 
 
 def mass_matrices(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N N"]:
@@ -220,7 +218,7 @@ def scale_of(robot: RobotModel) -> tuple[float, float]:
     return float(inertia[0, 0] * robot.gravity), float(np.sqrt(np.trace(inertia[3:6, 3:6]) / (2.0 * inertia[0, 0])))
 
 
-def floor_of(
+def unmodelled_variance(
     robot: RobotModel, air: Float[np.ndarray, "f N"], unmodelled: tuple[float, float, float] = UNMODELLED
 ) -> Float[np.ndarray, "f N"]:
     """Return the mean square of every row that no number explains, where the air acts with these forces."""
@@ -264,7 +262,7 @@ def estimate(
     counts = [len(one.weight) for one in logs]
     known = counts if known is None else known
     theta = np.zeros(width.size)
-    before = [_unexplained(robot, aero, unravel(jnp.asarray(theta)), one) for one in logs]
+    before = [unexplained(robot, aero, unravel(jnp.asarray(theta)), one) for one in logs]
     rows = [_moving(one) for one in logs]
 
     def solve(start: Any, linear: Any, counts: Sequence[int], step: int = 1) -> tuple[Any, Any]:
@@ -273,9 +271,8 @@ def estimate(
         for (left, slopes, air), weights, count in zip(linear, rows, counts, strict=True):
             if count:
                 window, end = weights[:count:step], -(-count // step)
-                of = window[:, :, None] * np.concatenate([slopes[:end], air[:end, :, None]], axis=2)
-                left, by = _transformed(of, window * left[:end], step * period)
-                spectra.append((left, by[..., :-1], floor_of(robot, by[..., -1], unmodelled)))
+                left, by, of_air = _transformed(window, left[:end], slopes[:end], air[:end], step * period)
+                spectra.append((left, by, unmodelled_variance(robot, of_air, unmodelled)))
         theta = start.copy()
         covariance: np.ndarray = np.zeros((sigma.size, sigma.size))
         for _ in range(WEIGHED):
@@ -285,24 +282,19 @@ def estimate(
                 by_mass = sigma[0] * mass / weighed[1]
                 information[0, 0] += by_mass**2
                 slope[0] += by_mass * (weighed[0] - mass * (1.0 + theta[0])) / weighed[1]
-            for left, by, floor in spectra:
-                added = _information(left + by @ (theta - start)[free], sigma * by, floor, covariance)
+            for left, by, variance in spectra:
+                added = _information(left + by @ (theta - start)[free], sigma * by, variance, covariance)
                 information, slope = information + added[0], slope - added[1]
             covariance = np.linalg.inv(information)
             theta[free] += sigma * (covariance @ slope)
         return theta, covariance
 
     def linear(theta: Any, counts: Sequence[int], step: int = 1) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        guess = unravel(jnp.asarray(theta))
-        parts = [
-            Samples(*(part[: max(count, 1) : step] for part in one)) for one, count in zip(logs, counts, strict=True)
-        ]
-        still = guess._replace(air=-jnp.ones_like(guess.air))
-        found = []
-        for part in parts:
-            left = _unexplained(robot, aero, guess, part)
-            air = _unexplained(robot, aero, still, part) - left
-            found.append((left, _slopes(robot, aero, guess, part, chosen), air))
+        guess, found = unravel(jnp.asarray(theta)), []
+        for one, count in zip(logs, counts, strict=True):
+            part = Samples(*(rows[: max(count, 1) : step] for rows in one))
+            left = unexplained(robot, aero, guess, part)
+            found.append((left, _slopes(robot, aero, guess, part, chosen), air_of(robot, aero, guess, part, left)))
         return found
 
     theta, _ = solve(theta, linear(theta, known, COARSE), known, COARSE)
@@ -317,8 +309,8 @@ def estimate(
     after = [left + slopes @ (theta - start)[free] for left, slopes, _ in whole]
     full = np.zeros((width.size, width.size))
     full[np.ix_(free, free)] = covariance * np.outer(sigma, sigma)
-    imitated, _ = ravel_pytree(prior._replace(com=jnp.full(3, COHERENT * np.sum(robot.masses) / robot.masses[0])))
-    full += np.diag(np.where(np.asarray(imitated) != width, imitated, 0.0) ** 2 * (width > 0.0))
+    of_air = unravel(jnp.zeros(width.size))._replace(com=jnp.full(3, COHERENT * np.sum(robot.masses) / robot.masses[0]))
+    full += np.diag(np.where(width > 0.0, ravel_pytree(of_air)[0], 0.0) ** 2)
     return Found(theta, np.sqrt(np.diag(full)), width, full, list(zip(before, after, strict=True)), held_out)
 
 
@@ -331,21 +323,14 @@ def expected(
     """
     free = np.flatnonzero(found.prior > 0.0)
     sigma = found.prior[free]
-    slopes = _slopes(robot, aero, numbers, log, tuple(free.tolist()))
-    moving, still = _moving(log), numbers._replace(air=-jnp.ones_like(jnp.asarray(numbers.air)))
-    air = _unexplained(robot, aero, still, log) - _unexplained(robot, aero, numbers, log)
-    _, by = _transformed(moving[:, :, None] * np.concatenate([slopes, air[:, :, None]], axis=2), moving, period)
-    by, floor = by[..., :-1], floor_of(robot, by[..., -1])
+    slopes, left = _slopes(robot, aero, numbers, log, tuple(free.tolist())), unexplained(robot, aero, numbers, log)
+    _, by, air = _transformed(_moving(log), left, slopes, air_of(robot, aero, numbers, log, left), period)
     noise = np.broadcast_to(np.std(found.residuals[-1][1], axis=0), by.shape[:2])
-    added, _ = _information(noise, sigma * by, floor, np.zeros((free.size, free.size)))
+    added, _ = _information(noise, sigma * by, unmodelled_variance(robot, air), np.zeros((free.size, free.size)))
     known = np.linalg.inv(found.covariance[np.ix_(free, free)] / np.outer(sigma, sigma))
-    left = np.zeros(found.prior.size)
-    left[free] = sigma * np.sqrt(np.diag(np.linalg.inv(known + added)))
-    return left
-
-
-def _unexplained(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N"]:
-    return _by_chunks(lambda part: _residuals(robot, aero, numbers, part)[0], samples)
+    after = np.zeros(found.prior.size)
+    after[free] = sigma * np.sqrt(np.diag(np.linalg.inv(known + added)))
+    return after
 
 
 def _slopes(
@@ -382,7 +367,7 @@ def _derivatives(
 
     def one(now: Samples) -> Any:
         def of(part: Array) -> Array:
-            return unexplained(robot, aero, unravel(whole.at[places].set(part)), now)
+            return _inertial(robot, aero, unravel(whole.at[places].set(part)), now)[0]
 
         return jax.jacfwd(of)(whole[places])
 
@@ -393,7 +378,7 @@ def _derivatives(
 def _moving(samples: Samples) -> Float[np.ndarray, "k N"]:
     """Return weights of the rows: none in samples that are not covered, and little for a joint that may stick.
 
-    It holds any torque up to its friction, and tells nothing.
+    It holds any torque up to its friction.
     """
     speed = np.abs(np.asarray(samples.joint_velocity)) / MOVING
     weight = np.where(speed > 0.7, speed**4 / (1.0 + speed**4), 0.0)
@@ -403,27 +388,31 @@ def _moving(samples: Samples) -> Float[np.ndarray, "k N"]:
 
 
 def _transformed(
-    jacobian: Float[np.ndarray, "k N p"], residual: Float[np.ndarray, "k N"], period: float
-) -> tuple[Complex[np.ndarray, "f N"], Complex[np.ndarray, "f N p"]]:
-    """Return the transforms of a tapered residual and of its derivatives, such that white noise keeps its variance."""
-    count = len(residual)
-    taper = _taper(count)
-    size = int(min(FREQUENCY, 0.4 / period) * count * period) + 1
-    norm = np.sqrt(np.sum(taper**2))
-    left = np.fft.rfft(taper[:, None] * residual, axis=0)[:size] / norm
-    return left, np.fft.rfft(taper[:, None, None] * jacobian, axis=0)[:size] / norm
+    weights: Float[np.ndarray, "k N"],
+    left: Float[np.ndarray, "k N"],
+    slopes: Float[np.ndarray, "k N p"],
+    air: Float[np.ndarray, "k N"],
+    period: float,
+) -> tuple[Complex[np.ndarray, "f N"], Complex[np.ndarray, "f N p"], Complex[np.ndarray, "f N"]]:
+    """Return the transforms of a residual, its derivatives and the air, such that white noise keeps its variance."""
+    count = len(left)
+    taper, size = _taper(count), int(min(FREQUENCY, 0.4 / period) * count * period) + 1
+    window = (taper / np.sqrt(np.sum(taper**2)))[:, None] * weights
+    parts = (window * left, window[:, :, None] * slopes, window * air)
+    of_left, by, of_air = (np.fft.rfft(part, axis=0)[:size] for part in parts)
+    return of_left, by, of_air
 
 
 def _information(
     left: Complex[np.ndarray, "f N"],
     by: Complex[np.ndarray, "f N p"],
-    floor: Float[np.ndarray, "f N"],
+    variance: Float[np.ndarray, "f N"],
     covariance: Float[np.ndarray, "p p"],
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, " p"]]:
     """Return information and slope of one log's likelihood.
 
-    In every band the spectrum is the mean of `floor` and the mean square of what is left, over the degrees of freedom
-    that `covariance` leaves.
+    In every band the spectrum is the mean of `variance` and the mean square of what is left, over the degrees of
+    freedom that `covariance` leaves.
     """
     size = len(left)
     double = np.where(np.arange(size) == 0, 1.0, 2.0)  # a real and an imaginary part
@@ -434,7 +423,7 @@ def _information(
         slopes = by[band]
         freedom = np.full(power.size, weight.sum())
         taking = np.sum(weight[:, :, None] * (slopes.conj() * (slopes @ covariance)).real, axis=(0, 2))
-        least = np.sum(weight * floor[band], axis=0) / weight.sum()
+        least = np.sum(weight * variance[band], axis=0) / weight.sum()
         spectrum = power / freedom + least
         for _ in range(3):
             taken = taking / spectrum

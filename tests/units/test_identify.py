@@ -54,11 +54,11 @@ def made_log(robot, aero, numbers):
         thrust=0.3 * robot.jets.thrust_max + waves(0.3, jets) * robot.jets.thrust_max, thrust_rate=waves(200.0, jets),
         torque=waves(0.0, joints), torque_rate=waves(20.0, joints), wind=waves(8.0, 3),
     )  # fmt: skip
-    left = identify._unexplained(robot, aero, numbers, first)
+    left = identify.unexplained(robot, aero, numbers, first)
     error = verdict.accelerations(identify.mass_matrices(robot, aero, numbers, first), left)
     turned = jnp.einsum("kba,kb->ka", first.rotation @ exp_so3(-numbers.imu), error[:, 3:6])
     moved = first._replace(linear_acceleration=-error[:, :3], gyro_rate=-turned)
-    left = identify._unexplained(robot, aero, numbers, moved)
+    left = identify.unexplained(robot, aero, numbers, moved)
     np.testing.assert_allclose(left[:, :6], 0.0, atol=1e-9)
     return moved._replace(torque=left[:, 6:])
 
@@ -99,13 +99,13 @@ def test_a_wrong_sign_leaves_more_unexplained_than_none(name, sparrow):
 
     def left(factor):
         guess = truth._replace(**{name: factor * getattr(truth, name)})
-        return float(jnp.mean(identify._unexplained(robot, aero, guess, log) ** 2))
+        return float(jnp.mean(identify.unexplained(robot, aero, guess, log) ** 2))
 
     assert left(1.0) < 1e-12 < left(0.0) < left(-1.0)
 
 
 @pytest.mark.usefixtures("x64")
-def test_a_robot_that_hovers_still_teaches_no_more_than_its_prior(sparrow):
+def test_a_robot_that_hovers_still_adds_nothing_to_its_prior(sparrow):
     """One posture and one attitude: six equations in the mean, so that most directions keep their prior."""
     robot, aero = sparrow
     _, truth = drawn(robot, "mass")
@@ -113,17 +113,17 @@ def test_a_robot_that_hovers_still_teaches_no_more_than_its_prior(sparrow):
     still = identify.Samples(*(jnp.tile(rows[:1], (COUNT, *(1,) * (rows.ndim - 1))) for rows in log))
     prior = command.prior_of(robot, WIDTHS)
     found = identify.estimate(robot, aero, [still], PERIOD, prior)
-    assert [share for share, _ in found.unlearned() if share < 0.99] == []
+    assert [share for share, _ in found.undetermined() if share < 0.99] == []
     assert found.deviation.max() <= max(np.max(part) for part in prior)
 
 
 @pytest.mark.usefixtures("x64")
-def test_a_log_that_is_expected_teaches_what_it_then_does(sparrow):
+def test_what_a_log_is_expected_to_add_is_what_it_adds(sparrow):
     """With the noise that the first log left, the second one's deviations are those of an estimate from both."""
     robot, aero = sparrow
     prior, truth = drawn(robot)
     rng = np.random.default_rng(7)
-    noise = np.sqrt(identify.floor_of(robot, np.zeros((1, 6 + robot.n_joints))))[0]
+    noise = np.sqrt(identify.unmodelled_variance(robot, np.zeros((1, 6 + robot.n_joints))))[0]
     logs = []
     for _ in range(2):
         log = made_log(robot, aero, truth)
@@ -152,7 +152,7 @@ def test_numbers_that_are_not_asked_for_stay_uncertain(sparrow):
 
 
 def test_an_interval_of_what_is_not_known_is_that_of_the_prior(sparrow):
-    """95 % of a uniform distribution, of friction from zero; where the data tell, that of their normal distribution."""
+    """95 % of a uniform distribution, of friction from zero; with data, that of their normal distribution."""
     robot, _ = sparrow
     prior = np.concatenate([np.ravel(part) for part in command.prior_of(robot, WIDTHS)])
     names = [name for name, *_ in command.labels(robot)]
@@ -167,7 +167,7 @@ def test_an_interval_of_what_is_not_known_is_that_of_the_prior(sparrow):
     assert interval("com.x", 0.0, 0.02 / np.sqrt(3.0)) == pytest.approx([-0.019, 0.019], rel=1e-3)
     assert interval("friction.waist", 0.0, 2.0 / np.sqrt(3.0)) == pytest.approx([0.05, 1.95], rel=1e-3)
     assert interval("com.x", 0.003, 1e-4) == pytest.approx([0.003 - 1.96e-4, 0.003 + 1.96e-4], rel=1e-3)
-    # Beyond the file's stated error the data alone speak.
+    # Beyond the file's stated error the data alone count.
     assert interval("com.x", 0.03, 1e-3) == pytest.approx([0.03 - 1.96e-3, 0.03 + 1.96e-3], rel=1e-3)
 
 
@@ -259,14 +259,14 @@ def test_from_a_log_to_a_flight(tmp_path, monkeypatch):
     }  # fmt: skip
     left = tables.load(folder / "perturbation.toml", Perturbation)
     assert 0.0 < left.mass < 0.1
-    told = json.loads((folder / "numbers.json").read_text())
-    assert told["believed"]
-    assert told["wind"] == "measured"
-    mass = told["numbers"][0]
+    facts = json.loads((folder / "numbers.json").read_text())
+    assert facts["explained"]
+    assert facts["wind"] == "measured"
+    mass = facts["numbers"][0]
     assert (mass["name"], mass["unit"], mass["found"]) == ("mass", "%", True)
     assert mass["interval"][0] < mass["value"] < mass["interval"][1]
     assert mass["prior"] == pytest.approx(10.0 / np.sqrt(3.0))
-    assert {row["name"] for row in told["held_out"]} > {"acceleration x", "velocity z", "turning ry"}
+    assert {row["name"] for row in facts["held_out"]} > {"acceleration x", "velocity z", "turning ry"}
     again = rust.load_config(folder / "experiment.toml", {"simulator.duration": 1.0})
     assert Path(again["robot"]) == folder / "robot.toml"
     assert rust.fly(again).outcome == "completed"

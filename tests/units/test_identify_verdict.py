@@ -94,20 +94,20 @@ NAMED = (
 
 
 @pytest.mark.usefixtures("x64")
-def test_a_log_of_the_files_robot_is_believed(flown):
+def test_a_log_of_the_files_robot_is_explained(flown):
     known, _ = identified(*flown)
-    assert known.verdict.rows_broken == []
-    assert known.verdict.is_believed
+    assert known.verdict.unexplained == []
+    assert known.verdict.is_explained
     assert known.left_out == {}
 
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("name", WRONG)
-def test_a_wrong_log_is_not_believed_and_the_mistake_is_named(flown, name):
+def test_a_wrong_log_is_not_explained_and_the_mistake_is_named(flown, name):
     config, log = flown
     log = {**log, **WRONG[name](log)}
     known, prior = identified(config, log)
-    assert not known.verdict.is_believed
+    assert not known.verdict.is_explained
     if name in NAMED:
         source = Path(config["robot"])
         found = command.mistake(known, config, source, [log], prior, float(np.sum(known.robot.masses)))
@@ -117,10 +117,10 @@ def test_a_wrong_log_is_not_believed_and_the_mistake_is_named(flown, name):
 
 @pytest.mark.usefixtures("x64")
 def test_a_log_without_an_anemometer_has_a_wind_to_find(flown):
-    """Still air would be 2 m/s off; of a robot that hardly drifts the wind is told from small forces."""
+    """Still air would be 2 m/s off; of a robot that hardly drifts the wind is found from small forces."""
     config, log = flown
     known, prior = identified(config, {**log, "raw_wind": np.full_like(log["raw_wind"], np.nan)})
-    assert known.verdict.is_believed
+    assert known.verdict.is_explained
     names = [name for name, *_ in command.labels(known.robot)]
     place = names.index("wind.y")
     low, high = (ends[place] for ends in command.intervals(known.robot, known.found))
@@ -166,8 +166,8 @@ def test_samples_that_the_equations_do_not_cover_are_left_out_and_counted(flown,
     assert left_out(flown, change) == {reason: pytest.approx(5, abs=1)}
 
 
-def test_the_ground_is_told_from_thrust_and_acceleration():
-    """A robot stands until nothing but its thrusts carries it; of one that never flies nothing is told."""
+def test_the_ground_is_found_from_thrust_and_acceleration():
+    """A robot stands until nothing but its thrusts carries it; of one that never flies nothing is known."""
     load = np.r_[np.full(30, 0.9), np.linspace(0.9, 0.0, 10), np.full(60, 0.01)]
     found = samples.grounded(load, np.zeros(100))
     assert found[:38].all()

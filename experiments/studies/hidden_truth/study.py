@@ -8,7 +8,7 @@ exclude at 1 %, and `width` their geometric mean. Then every robot flies TEST2 f
 was found: masses and axes in the controller, sensors and thrusts calibrated, latencies and friction known.
 
 The first robots, `defects` of them, fly again with a swinging payload, and with a joint that bends between encoder and
-link. No number explains either: such a log should not be believed, or its intervals be wider.
+link. No number explains either: such a log should count as not explained, or its intervals be wider.
 
 The result goes to `results/hidden_truth/NAME/`.
 """
@@ -156,7 +156,7 @@ def row_of(
         least, most, wanted = (np.concatenate([np.ravel(ends[name][part]) for name in names]) for part in range(3))
         row[f"covered {kind}"] = ((least <= wanted) & (wanted <= most)).astype(float).tolist()
         row[f"width {kind}"] = (most - least).tolist()
-    row |= {"believed": [float(known.verdict.is_believed)]}
+    row |= {"explained": [float(known.verdict.is_explained)]}
     after = calibrated(test, true, model, value, late)
     for label, one in (("before", test), ("after", after)):
         end = rust.fly(one)
@@ -164,12 +164,12 @@ def row_of(
         row[f"lean {label} [deg]"] = [float(np.degrees(end.summary["max_rotation_error"]))]
         row[f"position {label} [cm]"] = [100.0 * float(end.summary["max_com_error"])]
     for name in ("payload", "flexible joint"):
-        row[f"{name} told"] = [np.nan]
+        row[f"{name} detected"] = [np.nan]
         if has_defects:
             other = identified(with_payload(drawn, robot, rng) if name == "payload" else bent(log, rng))
             free = found.prior > 0.0
             wider = np.exp(np.mean(np.log(other.found.deviation[free] / found.deviation[free])))
-            row[f"{name} told"] = [float(not other.verdict.is_believed or wider > WIDER)]
+            row[f"{name} detected"] = [float(not other.verdict.is_explained or wider > WIDER)]
     return row | {"manoeuvre lost": [float(flight.outcome != "completed")]}
 
 
@@ -298,7 +298,7 @@ def summary_of(data: xr.Dataset) -> dict[str, float]:
             found[f"{name}, at least [%]"], found[f"{name}, at most [%]"] = 100.0 * low, 100.0 * high
         elif name.startswith("width"):
             found[name] = float(np.exp(np.mean(np.log(values))))
-        elif any(word in name for word in ("lost", "believed", "told")):
+        elif any(word in name for word in ("lost", "explained", "detected")):
             found[name] = float(np.nansum(values))
         else:
             found[name] = float(np.median(values))
@@ -308,7 +308,7 @@ def summary_of(data: xr.Dataset) -> dict[str, float]:
 def not_excluded(covered: Array) -> tuple[float, float]:
     """Return the interval of a coverage that a bootstrap over robots does not exclude at 1 %.
 
-    Where every interval holds the truth, which no bootstrap doubts, that of independent intervals.
+    Where every interval holds the truth, so that no bootstrap varies, that of independent intervals.
     """
     if covered.all():
         return 0.005 ** (1.0 / covered.size), 1.0

@@ -38,7 +38,7 @@ SOURCE = (
 )
 """Where the flights are; later commits refer to a large-file store."""
 FLIGHTS = ("train/multisine_20251017_run1", "train/random1_20251017_run1", "test/melon_20251017_run5")
-"""Two flights that tell and one that is predicted."""
+"""Two flights for the fit and one that is predicted."""
 MASS, ARM, INERTIA = 0.045, 0.0353, (2.3951e-5, 2.3951e-5, 3.2347e-5)
 """Published [kg, m, kg m²]; the last of 3.2e-6 would be a tenth of what any plate has, and is taken as a slip."""
 THRUST, MOMENT, POLES = 3.72e-8, 7.74e-12, 6
@@ -74,7 +74,7 @@ def compute(_: str, _settings: NanoDrone) -> Findings:
     log, gravity = signals[0], float(robot.gravity)
     lift = float(np.nanmean(np.sum(log["raw_thrust"], axis=1) * log["raw_base_rotation"][:, 2, 2]))
     summary = {
-        "believed": float(known.verdict.is_believed),
+        "explained": float(known.verdict.is_explained),
         "file over numbers, accelerations": known.verdict.improvement,
         "published thrust factor [1e-8 N s2]": 1e8 * THRUST,
         "thrust factor that carries the published mass [1e-8 N s2]": 1e8 * THRUST * MASS * gravity / lift,
