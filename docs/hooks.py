@@ -15,7 +15,7 @@ from mkdocs.structure.files import File
 from mkdocs.utils import get_relative_url
 
 from experiments import schema, studies
-from experiments.report import command, kept
+from experiments.report import command, kept, kept_tables
 from experiments.report import pictures as kept_pictures
 from experiments.sweep import columns
 from jax_aero import rust
@@ -114,7 +114,7 @@ def generated() -> dict[str, str]:
     pages["studies/index.md"] = "\n".join(
         ["# Studies", "", INDEX, "", "| `jax-aero study` | answers |", "|---|---|", *rows, ""]
     )
-    pages |= {f"results/{name}": text for name, text in kept.pages().items()}
+    pages |= {f"results/{name}": text for name, text in kept_tables.pages().items()}
     pages |= {f"notebooks/{path.stem}.md": notebook(path) for path in NOTEBOOKS}
     return pages | {f"studies/{name}.md": study_page(name) for name in studies.names()}
 

@@ -22,7 +22,7 @@ import numpy as np
 from msgspec import structs
 
 from experiments import Refused, record, study
-from experiments.report import keep, kept, pictures
+from experiments.report import keep, kept, kept_tables, pictures
 from experiments.report.kept import ALL, Kept
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
@@ -60,7 +60,8 @@ def main(arguments: Sequence[str]) -> int:
         seed = [] if given.seed is None else ["--seed", str(given.seed)]
         command = shlex.join(["jax-aero", "challenge", given.controller, *seed])
         document = structs.replace(beside(name, flown, times(levels)), command=command, seed=given.seed)
-        print(text_table(kept.table(document)))
+        columns, rows = kept_tables.of_page(document)
+        print(text_table([columns, *rows]))
         folder = (given.out or places.RESULTS / "challenge") / name
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / f"{name}.json", kept.to_json(document))

@@ -819,14 +819,6 @@ class Flight:
         return self.result()
 
 
-class _Table(Config):
-    """A configuration that is shown in a line for each of its tables."""
-
-    def __repr__(self) -> str:
-        lines = (f"{key}: {value}" for key, value in self.items())
-        return "\n".join(line if len(line) <= 100 else f"{line[:99]}…" for line in lines)
-
-
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
     """Read a flight configuration, merge its base files, apply overrides, and check it.
 
@@ -844,7 +836,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     ConfigError
         If a file or value is invalid; it has file, key, value, what was expected and suggestions as attributes.
     """
-    return _Table(_parsed(_core.load_config(find("experiments", path), _changes(overrides or {}))))
+    return _parsed(_core.load_config(find("experiments", path), _changes(overrides or {})))
 
 
 def check_config(config: Mapping[str, Any]) -> None:
@@ -912,7 +904,7 @@ class Csv(NamedTuple):
     lines: NDArray[np.uint64]
 
 
-def read_csv(content: bytes | str, file: str, columns: Mapping[str, str], key: str = "") -> Csv:
+def read_csv(content: bytes | str, file: str, columns: Mapping[str, str]) -> Csv:
     """Read columns of a table in text: the one dialect of all tables, which `docs/reference.md` states.
 
     Parameters
@@ -923,21 +915,18 @@ def read_csv(content: bytes | str, file: str, columns: Mapping[str, str], key: s
         Its name in refusals.
     columns
         Kind of every column: `number`, which is finite; `reading`, which may be missing (NaN), in some cells or as a
-        whole; `signal`, a reading that may be infinite; or `text`.
-    key
-        A name that its header has, by default that of the first column; by it the separator is known.
+        whole; `signal`, a reading that may be infinite; or `text`. The header has the first one, by which the separator
+        is known.
 
     Raises
     ------
     ConfigError
         Naming file, line, column, value and what was expected.
     """
-    key, pairs = key or next(iter(columns)), list(columns.items())
-    header, numbers, texts, lines = _core.read_csv(
-        content.encode() if isinstance(content, str) else content, file, key, pairs
-    )
-    named = [name for name, kind in pairs if kind == "text"]
-    measured = [name for name, kind in pairs if kind != "text" and name in header]
+    data = content.encode() if isinstance(content, str) else content
+    header, numbers, texts, lines = _core.read_csv(data, file, next(iter(columns)), list(columns.items()))
+    named = [name for name, kind in columns.items() if kind == "text"]
+    measured = [name for name, kind in columns.items() if kind != "text" and name in header]
     return Csv(
         header,
         dict(zip(measured, numbers.T, strict=True)),
@@ -1196,9 +1185,16 @@ def _tick(raw: dict[str, Any]) -> Tick:
     )
 
 
+class _Table(Config):
+    """A configuration that is shown in a line for each of its tables."""
+
+    def __repr__(self) -> str:
+        lines = (f"{key}: {value}" for key, value in self.items())
+        return "\n".join(line if len(line) <= 100 else f"{line[:99]}…" for line in lines)
+
+
 def _parsed(text: str) -> Config:
-    found: Config = json.loads(text)
-    return found
+    return _Table(json.loads(text))
 
 
 def _array(value: ArrayLike) -> Array:

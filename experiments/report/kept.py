@@ -1,4 +1,4 @@
-"""Kept results: `docs/results/NAME.json`, the figures of a finished result, and the page that shows them.
+"""Kept results: `docs/results/NAME.json`, the figures of a finished result.
 
 A kept result has what its pages say: how it was made, and its figures. Those of a sweep are rows of flights, also
 pooled over any of its axes; those of a study or a benchmark are its summary.
@@ -6,9 +6,8 @@ pooled over any of its axes; those of a study or a benchmark are its summary.
 
 from __future__ import annotations
 
-import itertools
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Set
 from functools import cache
 from typing import Any
 
@@ -18,13 +17,11 @@ from experiments import Refused, outdated
 from experiments.report import judge, paper
 from experiments.report.judge import Finding, Kind, Verdict
 from experiments.report.measures.results import of_cells
-from experiments.report.page import markdown
 from experiments.report.results import ANOTHER
 from experiments.sweep.criteria import Criterion
 from experiments.sweep.intervals import wilson
 from jax_aero.base import places
 from jax_aero.base.files import read_json
-from jax_aero.rust import MODES
 
 FOLDER = places.HOME / "docs" / "results"
 MOST_LEVELS = 16
@@ -172,140 +169,6 @@ def to_json(kept: Kept) -> str:
     return f"{text}\n"
 
 
-# --- the page --------------------------------------------------------------------------------------------------------
-
-
-def pages() -> dict[str, str]:
-    """Return the pages of all kept results by file name, and the page that lists them."""
-    rows = [(f"[{kept.name}]({kept.name}.md)", kept.title, _made(kept)) for kept in map(read, names())]
-    return {"index.md": markdown("kept_index.md", rows=rows)} | {f"{name}.md": page(read(name)) for name in names()}
-
-
-def page(kept: Kept) -> str:
-    """Return the page of a kept result, as Markdown."""
-    flown = table(kept) if kept.rows else [[]]
-    counted = ", ".join(f"{number} {outcome.replace('_', ' ')}" for outcome, number in kept.outcomes.items() if number)
-    return markdown(
-        "kept.md",
-        kept=kept,
-        outcomes=f"{sum(kept.outcomes.values())} flights ({kept.each}): {counted}.",
-        flown=flown,
-        legend=_legend(kept, flown[0]),
-        summary=list(_summary(kept.summary)),
-        claims=[(kept.stated[key].states, one.measured, f"**{one.verdict}**") for key, one in kept.claims.items()],
-        picture=f"{kept.name}.webp" if kept.is_drawn else "",
-        made=_made(kept),
-        again=_again(kept),
-    )
-
-
-def _again(kept: Kept) -> str:
-    if kept.firsts and not any(kept.firsts):
-        return "On another processor its shares repeat within their intervals, its digits do not."
-    return f"The first flight of each cell: {kept.firsts_flown}." if kept.firsts_flown else ""
-
-
-def _made(kept: Kept) -> str:
-    commit = f", commit {kept.commit[:10]}" if kept.commit else ", of changed code"
-    seed = "" if kept.seed is None else f", seed {kept.seed}"
-    return f"{kept.created[:10]}{commit}{seed}"
-
-
-def table(kept: Kept) -> list[list[str]]:
-    """Return the table of a sweep, headings first: one quantity a column, without those that no row has."""
-    axes = sorted(kept.axes, key=lambda axis: axis.name == kept.panels)
-    found = {tuple(row[axis.name] for axis in axes): row for row in kept.table()}
-    shown = [levels for levels in itertools.product(*(axis.levels for axis in axes)) if levels in found]
-    columns = {heading: [of(found[levels]) for levels in shown] for heading, of in _quantities(kept).items()}
-    held = {heading: cells for heading, cells in columns.items() if any(cells)}
-    labels = [_labels(axes, levels, before) for before, levels in zip([(), *shown], shown, strict=False)]
-    rows = [[*label, *cells] for label, *cells in zip(labels, *held.values(), strict=True)]
-    return [[*(axis.label for axis in axes), *held], *rows]
-
-
-def _labels(axes: Sequence[Axis], levels: Sequence[Any], before: Sequence[Any]) -> list[str]:
-    """Return the levels of a row, without those that repeat the row before."""
-    same = 0
-    while same < len(axes) - 1 and [*levels[: same + 1]] == [*before[: same + 1]]:
-        same += 1
-    return [""] * same + [axis.show(level) for axis, level in zip(axes[same:], levels[same:], strict=True)]
-
-
-SHARE = "share [%]"
-EXPLAINED = {
-    SHARE: "Share: of flights that completed or landed, with its Wilson 95 % interval.",
-    "rotation error [°]": "Errors: the greatest of a flight that completed or landed; median, and at most.",
-    "found after [s]": "Found after: median time since the failure, where half of the flights find one.",
-    "announced before [s]": "Announced before: median time from the first mode to the loss.",
-    "modes": "Modes: those of at least half of the flights.",
-}
-Quantity = Callable[[Mapping[str, Any]], str]
-COUNTS: dict[str, Quantity] = {
-    "flights": lambda row: str(row["flights"] or ""),
-    "completed": lambda row: str(row["completed"]),
-    "landed": lambda row: str(row["landed"] or ""),
-    "landing": lambda row: str(row["landing"] or ""),
-    "off course": lambda row: str(row["off_course"] or ""),
-    "crashed": lambda row: str(row["crashed"] or ""),
-    "fell": lambda row: str(row["lost"] - sum(row[end] for end in ("landing", "off_course", "crashed")) or ""),
-}
-SHOWN: dict[str, dict[str, Quantity]] = {
-    "share": {SHARE: lambda row: _share(row)},
-    "errors": {
-        "rotation error [°]": lambda row: _number(row["rotation_deg_median"]),
-        "at most [°]": lambda row: _number(row["rotation_deg_worst"]),
-        "position error [cm]": lambda row: _number(row["com_cm_median"]),
-        "at most [cm]": lambda row: _number(row["com_cm_worst"]),
-    },
-    "found": {"found after [s]": lambda row: _number(row["found_s"]) if 2 * row["degraded"] >= row["flights"] else ""},
-    "announced": {"announced before [s]": lambda row: _number(row["announced_s"])},
-    "modes": {"modes": lambda row: " ".join(f"`{name}`" for name, bit in MODES.items() if row["modes"] & bit)},
-}
-"""Quantities by their headings, those of every table and others."""
-
-
-def _quantities(kept: Kept) -> dict[str, Quantity]:
-    """Return what a table shows of a row, by heading."""
-    return COUNTS | {name: of for shown, own in SHOWN.items() if shown in kept.shows for name, of in own.items()}
-
-
-def _share(row: Mapping[str, Any]) -> str:
-    done, flights = row["completed"] + row["landed"], row["flights"]
-    share, low, high = (f"{100.0 * x:.0f}" for x in (done / flights, *wilson(done, flights)))
-    return f"{share} ({low} to {high})"
-
-
-def _number(value: float | None) -> str:
-    """Return a number with two or three digits."""
-    if value is None:
-        return ""
-    return f"{value:.2f}" if value < 1.0 else f"{value:.1f}" if value < 100.0 else f"{value:.0f}"
-
-
-def _legend(kept: Kept, headings: Sequence[str]) -> str:
-    said = ["Counts that are empty are 0.", *(text for heading, text in EXPLAINED.items() if heading in headings)]
-    if kept.outcomes.get("diverged"):
-        said.append(f"Of those that fell {kept.outcomes['diverged']} diverged.")
-    if kept.pooled:
-        said.append(f"Pooled over {', '.join(kept.pooled)}.")
-    return " ".join(said)
-
-
-def _summary(summary: Any) -> Iterator[str | list[Sequence[str]]]:
-    """Yield a text as it is, and figures as tables: one of plain ones, one for cases with the same figures."""
-    if isinstance(summary, str):
-        yield summary
-        return
-    cases = cases_of(summary)
-    if plain := cases.pop(""):
-        yield [("figure", "value"), *((key, _plain(value)) for key, value in plain.items())]
-    by_figures: dict[tuple[str, ...], list[str]] = {}
-    for case, figures in cases.items():
-        by_figures.setdefault(tuple(figures), []).append(case)
-    for columns, names in by_figures.items():
-        yield [("case", *columns), *((case, *map(_plain, cases[case].values())) for case in names)]
-
-
 def cases_of(summary: Mapping[str, Any] | None) -> dict[str, dict[str, Any]]:
     """Return the figures of a study by case, those without case under "".
 
@@ -319,7 +182,3 @@ def cases_of(summary: Mapping[str, Any] | None) -> dict[str, dict[str, Any]]:
             case, _, figure = str(key).rpartition(": ")
             cases.setdefault(case, {})[figure] = value
     return cases
-
-
-def _plain(value: Any) -> str:
-    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)

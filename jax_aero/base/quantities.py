@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jax_aero.base.terminal import Refused
 from jax_aero.rust import Quantity, figures
 
 if TYPE_CHECKING:
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
 USUAL = {"rad": "deg", "rad s-1": "deg/s", "m s-1": "m/s", "N s-1": "N/s", "1": ""}
 """Units in which quantities are usually shown."""
 
-FACTORS = {"deg": math.degrees(1.0), "deg/s": math.degrees(1.0), "cm": 1e2, "mm": 1e3}
-"""Factors of numbers in SI units to such that are shown; others are one."""
+UNITS = {
+    "deg": ("rad", math.degrees(1.0)), "°": ("rad", math.degrees(1.0)), "deg/s": ("rad s-1", math.degrees(1.0)),
+    "m/s": ("m s-1", 1.0), "N/s": ("N s-1", 1.0), "1": ("", 1.0), "%": ("", 1e2),
+    "cm": ("m", 1e2), "mm": ("m", 1e3), "ms": ("s", 1e3), "µs": ("s", 1e6),
+}  # fmt: skip
+"""Other units than those of the SI: the one of the SI, and how many of the other it is."""
 
 
 class Shown(NamedTuple):
@@ -47,8 +52,15 @@ def shown(quantity: Quantity | Mapping[str, Any], values: Any = math.nan) -> Sho
     """Return values of a declared quantity, or of one with the attributes of a variable, as they are shown."""
     about = attributes_of(quantity) if isinstance(quantity, Quantity) else quantity
     unit = about.get("shown") or USUAL.get(about["units"], about["units"])
-    factor = FACTORS.get(unit, 1.0) / FACTORS.get(about["units"], 1.0)
-    return Shown(values if factor == 1.0 else factor * values, unit, about["label"])
+    return Shown(converted(values, about["units"], unit), unit, about["label"])
+
+
+def converted(values: Any, unit: str, to: str) -> Any:
+    """Return values in another unit of the same dimension."""
+    (dimension, number), (other, numbers) = (UNITS.get(name, (name, 1.0)) for name in (unit, to))
+    if dimension != other:
+        raise Refused(f"{unit or 'a number without unit'} is no {to}")
+    return values if number == numbers else numbers / number * values
 
 
 def shown_array(array: xr.DataArray) -> Shown:

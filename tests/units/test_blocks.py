@@ -77,7 +77,7 @@ def test_a_table_has_what_its_source_holds(page, asks, rows):
     ("asks", "reason"),
     [
         ('kept = "made_down"', "there is no kept result `made_down`; did you mean made_up"),
-        ('kept = "made_up"\nrows = { wind = "a" }', "there is no axis `wind`; there are controller, speed"),
+        ('kept = "made_up"\nrows = { wind = "a" }', "there is no axis `wind`; there are speed, controller"),
         ('kept = "made_up"\nrows = { speed = "11 m/s" }', "there is no level of speed `11 m/s`; did you mean 10 m/s"),
         ('kept = "made_up"\ncolumns = ["complete"]', "there is no column `complete`; did you mean completed"),
         ('kept = "made_up"\ncolumns = { "off [s]" = "com_cm_worst" }', "cm is no s"),

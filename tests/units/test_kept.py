@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from experiments import Refused, backends, manifest
-from experiments.report import keep, kept, pictures
+from experiments.report import keep, kept, kept_tables, pictures
 from experiments.report.judge import Kind
 from experiments.report.kept import Axis, Kept
 from experiments.sweep import spec
@@ -110,12 +110,19 @@ def made_up(**more):
 
 
 def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
-    text = kept.page(made_up())
-    errors = "rotation error [°] | at most [°] | position error [cm] | at most [cm]"
-    assert f"| wind speed | controller | flights | completed | fell | {errors} |" in text
-    assert "| 0 m/s | a | 2 | 2 | | 1.5 | 2.0 | 2.0 | 2.0 |" in text
-    assert "| | b | 2 | 2 | | 12.5 | 20.0 | 2.0 | 2.0 |" in text
-    assert "| | b | 2 | 0 | 2 | | | | |" in text
+    text = kept_tables.page(made_up())
+    rotation, position = (
+        f"{name} error, median [{unit}] | {name} error, greatest [{unit}]"
+        for name, unit in (("rotation", "°"), ("position", "cm"))
+    )
+    assert f"| wind speed | controller | completed | fell | {rotation} | {position} |" in text
+    rows = [
+        "| 0 m/s | a | 2 of 2 | 0 of 2 | 1.50 | 2.00 | 2.00 | 2.00 |",
+        "| 0 m/s | b | 2 of 2 | 0 of 2 | 12.5 | 20.0 | 2.00 | 2.00 |",
+        "| 10 m/s | a | 2 of 2 | 0 of 2 | 3.50 | 4.00 | 2.00 | 2.00 |",
+        "| 10 m/s | b | 0 of 2 | 2 of 2 | | | | |",
+    ]
+    assert "\n".join(rows) in text
     assert "8 flights (2 in each cell, perturbed): 6 completed, 2 fell." in text
     assert "2026-01-02, commit 0123456789, seed 1" in text
 
@@ -124,8 +131,9 @@ def test_a_row_counts_every_outcome():
     ends = ["completed", "landed", "landing", "off_course", "crashed", "crashed", "fell", "diverged"]
     row = dict(zip(keep.FIGURES, keep.figures(flown(outcome=ends)).values(), strict=True))
     assert (row["lost"], row["rotation_deg_worst"]) == (6, pytest.approx(2.0))
-    shown = [of(row) for of in kept._quantities(made_up(shows=[])).values()]
-    assert shown == ["8", "1", "1", "1", "1", "2", "2"]
+    document = made_up(axes=[], columns=list(row), rows=[list(row.values())], shows=[])
+    (shown,) = kept_tables.of_page(document)[1]
+    assert shown == [f"{count} of 8" for count in (1, 1, 1, 1, 2, 2)]
 
 
 def test_what_is_kept_is_read_again(tmp_path, monkeypatch):
@@ -163,10 +171,10 @@ def replace_most(claim, at_most):
 
 def test_cases_with_the_same_figures_are_a_table():
     summary = {"a": {"rms": 0.5, "n": 3}, "b": {"rms": 0.25}, "c, d: rms": 0.125, "mass [kg]": 4.61}
-    text = kept.page(made_up(rows=[], summary=summary))
-    assert "| case | rms | n |\n|---|---|---|\n| a | 0.5 | 3 |" in text
-    assert "| case | rms |\n|---|---|\n| b | 0.25 |\n| c, d | 0.125 |" in text
-    assert "| mass [kg] | 4.61 |" in text
+    text = kept_tables.page(made_up(rows=[], summary=summary))
+    assert "| | rms | n |\n|---|---|---|\n| a | 0.5000 | 3 |" in text
+    assert "| | rms |\n|---|---|\n| b | 0.2500 |\n| c, d | 0.1250 |" in text
+    assert "| mass | 4.610 kg |" in text
 
 
 # --- flown again

@@ -36,7 +36,15 @@ def last_tick():
 
 
 @pytest.mark.parametrize(
-    "thing", [CONFIG, ROBOT, FLIGHT, last_tick(), rust.dynamics(ROBOT, last_tick().estimates.state)]
+    "thing",
+    [
+        CONFIG,
+        rust.load_controller("baseline"),
+        ROBOT,
+        FLIGHT,
+        last_tick(),
+        rust.dynamics(ROBOT, last_tick().estimates.state),
+    ],
 )
 def test_what_a_notebook_shows_is_a_line_or_a_small_table(thing):
     shown = repr(thing)

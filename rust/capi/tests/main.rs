@@ -25,7 +25,6 @@ use flight_io::load_robot;
 use flight_sim::{Plant, load_scenario};
 use nalgebra::{DVector, Matrix3, Vector3};
 use std::ffi::{CStr, CString, c_char, c_void};
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::ptr::{null, null_mut};
@@ -526,12 +525,7 @@ fn run(command: &mut Command) -> String {
 /// Compiles an example against the library that this test was built with, and runs it.
 fn run_example(compiler: &str, source: &str, arguments: &[&str]) -> Output {
     let folder = tempfile::tempdir().unwrap();
-    Command::new(compile_example(folder.path(), compiler, source)).args(arguments).output().unwrap()
-}
-
-/// Compiles an example into a folder; returns the program.
-fn compile_example(folder: &Path, compiler: &str, source: &str) -> PathBuf {
-    let program = folder.join("program");
+    let program = folder.path().join("program");
     let libraries = library_folder();
     run(Command::new(compiler)
         .args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
@@ -543,7 +537,7 @@ fn compile_example(folder: &Path, compiler: &str, source: &str) -> PathBuf {
         .arg(&libraries)
         .arg(format!("-Wl,-rpath,{}", libraries.display()))
         .arg("-lflight"));
-    program
+    Command::new(&program).args(arguments).output().unwrap()
 }
 
 fn numbers(line: &str) -> Vec<f64> {
@@ -582,61 +576,6 @@ fn the_controller_in_another_process_flies_the_same() {
         assert!(text.lines().any(|printed| printed == line), "{text}");
     }
     assert_eq!(run_example("cc", "realtime.c", &["no/such.toml"]).status.code(), Some(1));
-}
-
-/// A log as a table, with an empty cell where nothing was measured, through the controller that flew it, and another.
-#[test]
-fn a_log_replays_in_c_with_the_same_commands() {
-    let mut scenario = load_scenario(&config("test2_sensors")).unwrap();
-    scenario.simulator.duration = 0.3;
-    let flown = flight_sim::Scenario::new(&scenario).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap();
-    let columns = |part: &flight_sim::log::Series| match part.width() {
-        1 => vec![part.signal.name.to_owned()],
-        width => (0..width).map(|entry| format!("{}/{entry}", part.signal.name)).collect(),
-    };
-    let series = &flown.log.series;
-    let mut table = series.iter().flat_map(columns).collect::<Vec<_>>().join(",");
-    for tick in 0..flown.log.len() {
-        let numbers = series.iter().flat_map(|part| part.row(tick));
-        let cells = numbers.map(|x| if x.is_nan() { String::new() } else { format!("{x:?}") });
-        table.push('\n');
-        table += &cells.collect::<Vec<_>>().join(",");
-    }
-    let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("log.csv");
-    std::fs::write(&log, &table).unwrap();
-    let program = compile_example(folder.path(), "cc", "replay.c");
-    let run = |name: &str, log: &Path| Command::new(&program).arg(config(name)).arg(log).output().unwrap();
-    let replay = |name: &str| {
-        let ran = run(name, &log);
-        let text = String::from_utf8(ran.stdout).unwrap();
-        assert!(ran.status.success(), "{text}{}", String::from_utf8_lossy(&ran.stderr));
-        assert!(text.starts_with("31 ticks, "), "{text}");
-        text.lines().skip(1).map(|line| numbers(line)[0]).collect::<Vec<_>>()
-    };
-    assert_eq!(replay("test2_sensors"), [0.0, 0.0]);
-    assert!(replay("test2").iter().all(|difference| *difference > 0.1));
-    // Neither a missing nor an empty file, a text, or a number that is none, is a log.
-    let (header, rows) = table.split_once('\n').unwrap();
-    let (row, _) = rows.split_once('\n').unwrap();
-    let (first, others) = row.split_once(',').unwrap();
-    for (text, expected) in [
-        (None, "cannot be read"),
-        (Some(String::new()), "is empty"),
-        (Some("a letter\nof two lines\n".to_owned()), "has not 1 columns `time`"),
-        (Some(format!("{header}\n")), "has no row"),
-        (Some(format!("{header}\n{row}\n{first},1.0m{others}\n")), "row 2, column `"),
-        (Some(format!("{header}\n{first}\n")), "row 1 has 1 cells"),
-    ] {
-        let log = folder.path().join("refused.csv");
-        if let Some(text) = text {
-            std::fs::write(&log, text).unwrap();
-        }
-        let refused = run("test2", &log);
-        assert_eq!(refused.status.code(), Some(1));
-        let message = String::from_utf8(refused.stderr).unwrap();
-        assert!(message.contains(expected), "{message} does not say {expected}");
-    }
 }
 
 /// Torques of every part of a tick are those of the crate's own flight.

@@ -240,31 +240,83 @@ impl Kernel for AddMatVec<'_> {
 
     #[inline(always)]
     fn with_vectors<S: Simd>(self, simd: S) {
-        let Self { y, a, ld, x } = self;
-        let n = y.len();
-        if n == 0 {
-            return;
+        add_columns::<S, 1>(simd, self.y, (self.a, self.ld), self.x);
+    }
+}
+
+/// `Y ← Y + A X` for matrices of so many columns without gaps; the bits are those of [`add_mat_vec`] by columns.
+///
+/// # Panics
+/// If a slice does not hold its matrix.
+pub fn add_mat_mat(y: &mut [f64], a: &[f64], ld: usize, x: &[f64], columns: usize) {
+    run(AddMatMat { y, a, ld, x, columns });
+}
+
+/// Kernel of [`add_mat_mat`].
+struct AddMatMat<'a> {
+    y: &'a mut [f64],
+    a: &'a [f64],
+    ld: usize,
+    x: &'a [f64],
+    columns: usize,
+}
+
+impl Kernel for AddMatMat<'_> {
+    type Output = ();
+
+    fn rows(&self) -> usize {
+        self.y.len() / self.columns
+    }
+
+    #[inline(always)]
+    fn with_vectors<S: Simd>(self, simd: S) {
+        const PAIR: usize = 2;
+        let Self { y, a, ld, x, columns } = self;
+        let (rows, inner) = (y.len() / columns, x.len() / columns);
+        for (y, x) in y.chunks_mut(PAIR * rows).zip(x.chunks(PAIR * inner)) {
+            if y.len() == PAIR * rows {
+                add_columns::<S, PAIR>(simd, y, (a, ld), x);
+            } else {
+                add_columns::<S, 1>(simd, y, (a, ld), x);
+            }
         }
-        // Read before the tile above it changes some of its rows.
-        let last_y = load(simd, y, last_top(simd, n));
-        let (blocks, rest) = x.as_chunks::<WIDE>();
-        for top in tops(simd, 0, n) {
-            // Separate sums, so that additions do not wait for each other.
-            let mut sums = [simd.splat_f64s(0.0); WIDE];
-            for (block, factors) in blocks.iter().enumerate() {
-                for c in 0..WIDE {
-                    let column = load(simd, &a[(block * WIDE + c) * ld..], top);
-                    sums[c] = add_product(simd, column, simd.splat_f64s(factors[c]), sums[c]);
+    }
+}
+
+/// `Y ← Y + A X` for C columns.
+#[inline(always)]
+fn add_columns<S: Simd, const C: usize>(simd: S, y: &mut [f64], (a, ld): (&[f64], usize), x: &[f64]) {
+    let (n, inner) = (y.len() / C, x.len() / C);
+    if n == 0 {
+        return;
+    }
+    // Read before the tile above it changes some of its rows.
+    let last_y = load_columns::<S, C>(simd, y, n, last_top(simd, n));
+    let parts: [_; C] = std::array::from_fn(|c| x[c * inner..][..inner].as_chunks::<WIDE>());
+    let blocks = inner / WIDE;
+    for top in tops(simd, 0, n) {
+        // Separate sums, so that additions do not wait for each other.
+        let mut sums = [[simd.splat_f64s(0.0); WIDE]; C];
+        for block in 0..blocks {
+            for part in 0..WIDE {
+                let column = load(simd, &a[(block * WIDE + part) * ld..], top);
+                for c in 0..C {
+                    let factor = simd.splat_f64s(parts[c].0[block][part]);
+                    sums[c][part] = add_product(simd, column, factor, sums[c][part]);
                 }
             }
-            for (c, factor) in rest.iter().enumerate() {
-                let column = load(simd, &a[(blocks.len() * WIDE + c) * ld..], top);
-                sums[0] = add_product(simd, column, simd.splat_f64s(*factor), sums[0]);
+        }
+        for part in 0..inner - blocks * WIDE {
+            let column = load(simd, &a[(blocks * WIDE + part) * ld..], top);
+            for c in 0..C {
+                sums[c][0] = add_product(simd, column, simd.splat_f64s(parts[c].1[part]), sums[c][0]);
             }
-            let [s0, s1, s2, s3] = sums;
+        }
+        let old = if top == last_top(simd, n) { last_y } else { load_columns::<S, C>(simd, y, n, top) };
+        for c in 0..C {
+            let [s0, s1, s2, s3] = sums[c];
             let sum = simd.add_f64s(simd.add_f64s(s0, s1), simd.add_f64s(s2, s3));
-            let old = if top == last_top(simd, n) { last_y } else { load(simd, y, top) };
-            store(simd, y, top, simd.add_f64s(old, sum));
+            store(simd, &mut y[c * n..], top, simd.add_f64s(old[c], sum));
         }
     }
 }

@@ -2,13 +2,15 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use crate::common::{Running, at, experiment, random_state, rng};
+use crate::common::{Running, assert_says, at, experiment, random_state, rng};
 use flight_core::Measurement;
 use flight_core::aero::LinkConventions;
 use flight_core::control::Present;
+use flight_core::control::config::ControllerConfig;
 use flight_core::control::mpc::clearance::Clearance;
 use flight_core::control::mpc::nonlinear::knot::{Expansion, Knot, State, World};
 use flight_core::control::mpc::nonlinear::riccati::Riccati;
+use flight_core::jets::JetDynamics;
 use flight_core::spatial::exp_so3;
 use flight_io::{load_aero, load_robot};
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -106,6 +108,30 @@ fn the_expansion_is_that_of_differences() {
             let scale = 1.0 + expected.abs();
             assert!((found - expected).abs() <= 1e-4 * scale, "cost by {column}: {found}, {expected}");
         }
+    }
+}
+
+/// A descent that cannot be planned, or would never be flown, is refused by key.
+#[test]
+fn what_cannot_be_planned_is_refused() {
+    type Change = fn(&mut ControllerConfig);
+    let cases: [(Change, &str); 4] = [
+        (|law| law.mpc.as_mut().unwrap().descent = None, "controller.mpc.nonlinear_descent is given"),
+        (
+            |law| law.mpc.as_mut().unwrap().nonlinear_descent.as_mut().unwrap().knots.clear(),
+            "length of controller.mpc.nonlinear_descent.knots is 0",
+        ),
+        (
+            |law| law.mpc.as_mut().unwrap().nonlinear_descent.as_mut().unwrap().knots[3] = 0.001,
+            "controller.mpc.nonlinear_descent.knots is 0.001",
+        ),
+        (|law| law.jet_dynamics = JetDynamics::Ideal, "controller.jet_dynamics is ideal"),
+    ];
+    for (change, words) in cases {
+        let mut config = experiment("robot_nonlinear");
+        change(&mut config.controller.law);
+        let robot = load_robot(&config.robot).unwrap();
+        assert_says(&config.controller(robot).unwrap_err().to_string(), &[words]);
     }
 }
 

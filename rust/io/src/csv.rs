@@ -6,7 +6,7 @@
 use flight_core::BuildError;
 use std::borrow::Cow;
 
-/// Cells in which nothing was measured, in small letters.
+/// Cells in which nothing was measured.
 const EMPTY: [&str; 6] = ["", "na", "n/a", "nan", "null", "none"];
 
 /// What the cells of a column hold.
@@ -75,18 +75,17 @@ impl<'t> Csv<'t> {
         accept: impl Fn(&[&str]) -> bool,
     ) -> Result<Self, BuildError> {
         let rest = text.trim_start_matches('\u{feff}');
+        let mut first = (1, "empty".to_owned());
         for separator in *b",;\t" {
             let mut csv = Self { names: Vec::new(), file: file.to_owned(), rest, line: 1, separator };
-            let Some((_, cells)) = csv.next_row()? else { break };
+            let Some((line, cells)) = csv.next_row()? else { break };
             csv.names = cells.into_iter().map(Cow::into_owned).collect();
             if accept(&csv.names.iter().map(String::as_str).collect::<Vec<_>>()) {
                 return Ok(csv);
             }
+            first = (line, csv.names.join("\t"));
         }
-        let mut lines = rest.lines().enumerate().map(|(number, line)| (number, line.trim()));
-        let first = lines.find(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-        let (number, line) = first.unwrap_or((0, "empty"));
-        Err(BuildError::bad_value(place(file, number + 1), line, header))
+        Err(BuildError::bad_value(place(file, first.0), first.1, header))
     }
 
     /// Reads these columns of all rows.
@@ -134,7 +133,7 @@ impl<'t> Csv<'t> {
     }
 
     fn number(&self, cell: &str) -> Option<f64> {
-        if EMPTY.contains(&cell.to_ascii_lowercase().as_str()) {
+        if EMPTY.iter().any(|empty| empty.eq_ignore_ascii_case(cell)) {
             return Some(f64::NAN);
         }
         if self.separator == b',' { cell.parse().ok() } else { cell.replace(',', ".").parse().ok() }

@@ -38,7 +38,9 @@ fn main() -> Result<(), BuildError> {
         report(title, &tick_times(&common::configuration(name)?)?);
     }
     report("the policy alone", &policy_times()?);
-    for (title, config, from) in common::planned_flights()? {
+    let nonlinear = common::without_engine(common::configuration("robot_nonlinear")?);
+    let nonlinear = ("engine lost, nonlinear plan", nonlinear, 18.0);
+    for (title, config, from) in common::planned_flights()?.into_iter().chain([nonlinear]) {
         report(&format!("tick that plans, {title}"), &plan_times(&config, from)?);
     }
     let mut config = common::configuration("test2")?;

@@ -160,14 +160,14 @@ impl PredictiveLaw {
 
     /// The plan before the first one.
     pub(super) fn no_plan(&self) -> Plan {
-        let nonlinear = self.nonlinear.as_ref().map(Nonlinear::no_plan);
+        let nonlinear = self.nonlinear.as_ref().map(|of| of.no_plan.clone());
         Plan { nonlinear, ..Plan::none(self.unknowns(), self.thrust_rate_max.len()) }
     }
 
     /// Whether a plan has the sizes of this law.
     pub(super) fn fits(&self, plan: &Plan) -> bool {
         let sizes = plan.nonlinear.as_ref().map(NonlinearPlan::len);
-        plan.len() == self.unknowns() && sizes == self.nonlinear.as_ref().map(Nonlinear::unknowns)
+        plan.len() == self.unknowns() && sizes == self.nonlinear.as_ref().map(|of| of.no_plan.len())
     }
 
     /// Commands the inputs of the nonlinear plan of a descent, which is improved in every tick; `false` without one that
@@ -187,8 +187,7 @@ impl PredictiveLaw {
         let Some((planner, plan)) = planner.filter(|_| !terms.limits.holds_position) else { return false };
         let now = Present { estimate, terms };
         let world = World { robot, conventions: *conventions, air: *air, now, posture, speed };
-        planner.improve(aero, world, plan);
-        if !planner.take_inputs(plan, estimate.robot.time) {
+        if !planner.improve(aero, world, plan) {
             return false;
         }
         let unknowns = &terms.momentum_qp.unknowns;

@@ -95,7 +95,7 @@ pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec
 /// turbulence of 18 m/s, and after an arm engine has stopped at once.
 pub fn planned_flights() -> Result<[(&'static str, ScenarioConfig, f64); 3], BuildError> {
     let calm = configuration("test2_mpc")?;
-    let (mut turbulence, mut loss) = (calm.clone(), calm.clone());
+    let (mut turbulence, loss) = (calm.clone(), without_engine(calm.clone()));
     turbulence.wind = WindConfig::Turbulent {
         velocity: [0.0, -18.0, 0.0],
         ramp_start: 5.0,
@@ -104,9 +104,14 @@ pub fn planned_flights() -> Result<[(&'static str, ScenarioConfig, f64); 3], Bui
         time_scale: 2.0,
         seed: 0,
     };
-    loss.disturbances.jets.failure =
-        Some(JetFailure { jet: "l_arm_jet".into(), time: 18.0, kind: FailureKind::Off, decay: 0.0 });
     Ok([("calm", calm, 10.0), ("turbulence", turbulence, 10.0), ("engine lost", loss, 18.0)])
+}
+
+/// A flight in which an arm engine stops at 18 s.
+pub fn without_engine(mut config: ScenarioConfig) -> ScenarioConfig {
+    config.disturbances.jets.failure =
+        Some(JetFailure { jet: "l_arm_jet".into(), time: 18.0, kind: FailureKind::Off, decay: 0.0 });
+    config
 }
 
 /// Whether the tick at `time` makes a plan.

@@ -151,6 +151,10 @@ impl MpcConfig {
                 expected,
             ));
         }
+        if self.nonlinear_descent.is_some() && self.descent.is_none() {
+            let expected = "none without controller.mpc.descent, whose plan flies where it finds none";
+            return Err(BuildError::bad_value("controller.mpc.nonlinear_descent", "given", expected));
+        }
         let joints = self.joints(robot)?.len();
         Clearance::new(self.clearance.as_ref(), robot, joints).map(|_| ())
     }

@@ -34,9 +34,9 @@ use knot::{Expansion, Knot, State, World};
 use nalgebra::DVector;
 use riccati::Riccati;
 
-/// Shares of the last plan's step that are flown until the motion costs no more than expected.
+/// Shares of the last plan's step that are flown until the motion costs no more than expected; the last is taken anyhow.
 const SHARES: [f64; 3] = [1.0, 0.3, 0.0];
-/// Cost that is expected at most: a new plan begins elsewhere.
+/// Factor and sum by which a plan may cost more than the last one, because it begins elsewhere.
 const GROWTH: f64 = 1.3;
 const GROWTH_LEAST: f64 = 50.0;
 /// Weight of a change of the inputs: at the first plan, its limits, and its factor after a plan whose whole step was flown;
@@ -44,7 +44,7 @@ const GROWTH_LEAST: f64 = 50.0;
 const DAMPING: f64 = 1.0;
 const DAMPING_RANGE: [f64; 2] = [1e-3, 1e3];
 const DAMPING_FACTOR: f64 = 0.25;
-/// For how long a plan is followed without a new one \[s\].
+/// Greatest age of a plan that is improved \[s\]; in place of an older one a new plan begins.
 const AGE_MAX: f64 = 0.2;
 /// A plan is followed if it ends falling no faster \[m/s\], and with at least this cosine of the lean.
 const END_DOWNWARDS: f64 = 3.0;
@@ -63,8 +63,6 @@ pub struct NonlinearPlan {
     since: Option<f64>,
     /// Weight of a change of the inputs.
     damping: f64,
-    /// Whether it ends as it should.
-    is_certified: bool,
 }
 
 impl NonlinearPlan {
@@ -84,6 +82,8 @@ struct Motion {
 /// The planner, with its workspace.
 #[derive(Debug)]
 pub(super) struct Nonlinear {
+    /// The plan of a state at the start of a flight.
+    pub(super) no_plan: NonlinearPlan,
     knots: Vec<f64>,
     tail: f64,
     knot: Knot,
@@ -113,11 +113,21 @@ impl Nonlinear {
         let state = State::new(jets.len(), joints.len());
         let (n, m, knots) = (state.size(), jets.len() + joints.len(), config.knots.len());
         let clearance = Clearance::new(mpc.clearance.as_ref(), robot, joints.len())?;
+        let flown = Motion { states: vec![state.clone(); knots + 1], inputs: vec![0.0; knots * m] };
+        let no_plan = NonlinearPlan {
+            motion: flown.clone(),
+            steps: vec![0.0; knots * m],
+            gains: vec![0.0; knots * m * n],
+            cost: 0.0,
+            since: None,
+            damping: DAMPING,
+        };
         Ok(Self {
+            no_plan,
             knots: config.knots.clone(),
             tail: config.tail,
             knot: Knot::new(config, mpc, robot, jets, joints, clearance),
-            flown: Motion { states: vec![state.clone(); knots + 1], inputs: vec![0.0; knots * m] },
+            flown,
             expansions: vec![Expansion::new(n, m); knots + 1],
             riccati: Riccati::new(n, m),
             difference: DVector::zeros(n),
@@ -127,47 +137,33 @@ impl Nonlinear {
         })
     }
 
-    /// Number of inputs of all knots.
-    pub(super) fn unknowns(&self) -> usize {
-        self.flown.inputs.len()
-    }
-
-    /// No plan.
-    pub(super) fn no_plan(&self) -> NonlinearPlan {
-        NonlinearPlan {
-            motion: self.flown.clone(),
-            steps: vec![0.0; self.flown.inputs.len()],
-            gains: vec![0.0; self.flown.inputs.len() * self.difference.len()],
-            cost: 0.0,
-            since: None,
-            damping: DAMPING,
-            is_certified: false,
-        }
-    }
-
-    /// Improves the plan from the present state.
-    pub(super) fn improve(&mut self, aero: &mut AeroModel, world: World, plan: &mut NonlinearPlan) {
+    /// Improves the plan from the present state, and sets `inputs` to its first ones; `false` without a plan that ends as it
+    /// should.
+    pub(super) fn improve(&mut self, aero: &mut AeroModel, world: World, plan: &mut NonlinearPlan) -> bool {
         let time = world.now.estimate.robot.time;
         self.knot.begin(&world);
         self.flown.states[0].set_from(&world.now, &self.knot.joints);
-        let age = plan.since.map(|since| time - since).filter(|age| (0.0..=AGE_MAX).contains(age));
+        let age = plan.since.take().map(|since| time - since).filter(|age| (0.0..=AGE_MAX).contains(age));
         let cost = if let Some(age) = age {
             self.fly_last(aero, &world, plan, age)
         } else {
             self.knot.hold(&world, &mut self.inputs);
             plan.damping = DAMPING;
-            self.fly(aero, &world, None)
+            self.fly(aero, &world, f64::INFINITY, None)
         };
-        plan.since = None;
-        let Some(cost) = cost else { return };
-        let Self { riccati, expansions, flown, knot, .. } = self;
+        let Some(cost) = cost else { return false };
+        let Self { riccati, expansions, flown, knot, inputs, .. } = self;
         let feedback = (&mut *plan.steps, &mut *plan.gains);
-        if riccati.solve(expansions, &flown.inputs, &knot.bounds, plan.damping, feedback) {
-            plan.motion.copy_from(flown);
-            (plan.cost, plan.since) = (cost, Some(time));
-            let end = &flown.states[self.knots.len()];
-            plan.is_certified = end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT;
+        if !riccati.solve(expansions, &flown.inputs, &knot.bounds, plan.damping, feedback) {
+            return false;
         }
+        std::mem::swap(&mut plan.motion, flown);
+        (plan.cost, plan.since) = (cost, Some(time));
+        for ((input, flown), step) in inputs.iter_mut().zip(&plan.motion.inputs).zip(&plan.steps) {
+            *input = flown + step;
+        }
+        let end = &plan.motion.states[self.knots.len()];
+        end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT
     }
 
     /// Flies the plan that began `age` \[s\] ago with the greatest share of its step that costs no more than expected.
@@ -181,9 +177,10 @@ impl Nonlinear {
         let expected = GROWTH * plan.cost + GROWTH_LEAST;
         let (mut cost, mut is_whole) = (None, true);
         for share in SHARES {
-            cost = self.fly(aero, world, Some((plan, share, age)));
+            let most = if share > 0.0 { expected } else { f64::INFINITY };
+            cost = self.fly(aero, world, most, Some((plan, share, age)));
             is_whole = share == SHARES[0];
-            if cost.is_some_and(|cost| cost <= expected) {
+            if cost.is_some() {
                 break;
             }
         }
@@ -192,33 +189,18 @@ impl Nonlinear {
         cost
     }
 
-    /// Sets `inputs` to those of the plan at a time \[s\]; `false` without one that ends as it should.
-    pub(super) fn take_inputs(&mut self, plan: &NonlinearPlan, time: f64) -> bool {
-        let age = plan.since.filter(|_| plan.is_certified).map(|since| time - since);
-        let Some(age) = age.filter(|age| (0.0..=AGE_MAX).contains(age)) else { return false };
-        let (mut end, m) = (0.0, self.inputs.len());
-        let is_before_end = |duration: &f64| {
-            end += duration;
-            age < end * (1.0 - 1e-6)
-        };
-        let knot = self.knots.iter().position(is_before_end).unwrap_or(self.knots.len() - 1);
-        let range = knot * m..(knot + 1) * m;
-        self.inputs.copy_from_slice(&plan.motion.inputs[range.clone()]);
-        linalg::add_scaled(&mut self.inputs, 1.0, &plan.steps[range]);
-        true
-    }
-
     /// Thrust acceleration of an input \[N/s²\].
     pub(super) fn acceleration(&self, jet: usize, thrust: f64, rate: f64, input: f64) -> f64 {
         self.knot.acceleration(jet, thrust, rate, input)
     }
 
     /// Flies the feedback of the last plan with a share of its step, which began so long ago \[s\], or `inputs` without one;
-    /// returns the cost, `None` where the inertia cannot be inverted or a number is not finite.
+    /// returns the cost, `None` where it exceeds `most`, the inertia cannot be inverted or a number is not finite.
     fn fly(
         &mut self,
         aero: &mut AeroModel,
         world: &World,
+        most: f64,
         last: Option<(&NonlinearPlan, f64, f64)>,
     ) -> Option<f64> {
         let (n, m, knots) = (self.difference.len(), self.inputs.len(), self.knots.len());
@@ -242,21 +224,15 @@ impl Nonlinear {
             let expansion = &mut self.expansions[knot];
             self.knot.advance(aero, world, (state, inputs), (duration, duration), next, expansion)?;
             cost += expansion.cost;
+            if cost > most {
+                return None; // no knot costs less than nothing
+            }
             begin += duration;
         }
         let (end, last) = ((&self.flown.states[knots], &*self.none), &mut self.expansions[knots]);
         self.knot.advance(aero, world, end, (0.0, self.tail), &mut self.state, last)?;
         cost += last.cost;
-        cost.is_finite().then_some(cost)
-    }
-}
-
-impl Motion {
-    fn copy_from(&mut self, other: &Self) {
-        self.inputs.copy_from_slice(&other.inputs);
-        for (to, from) in self.states.iter_mut().zip(&other.states) {
-            to.copy_from(from);
-        }
+        (cost.is_finite() && cost <= most).then_some(cost)
     }
 }
 

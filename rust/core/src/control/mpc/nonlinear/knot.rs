@@ -96,16 +96,6 @@ impl State {
         }
     }
 
-    /// Takes the values of another state.
-    pub fn copy_from(&mut self, other: &Self) {
-        let Self { height, velocity, rotation, momentum, .. } = other;
-        (self.height, self.velocity, self.rotation, self.momentum) =
-            (*height, *velocity, *rotation, *momentum);
-        self.thrust.copy_from_slice(&other.thrust);
-        self.rate.copy_from_slice(&other.rate);
-        self.joints.copy_from_slice(&other.joints);
-    }
-
     /// Takes the values of the present; `joints` are the places of the planned ones.
     pub fn set_from(&mut self, now: &Present, joints: &[usize]) {
         let (terms, robot) = (now.terms, &now.estimate.robot);
@@ -126,7 +116,7 @@ impl State {
 /// Dynamics and cost of a knot, expanded about its state and input.
 #[derive(Debug, Clone)]
 pub struct Expansion {
-    /// `(A B)`, n × (n + m), and its transpose.
+    /// `(A B)`, n × (n + m).
     pub dynamics: Vec<f64>,
     /// The same, transposed.
     pub transposed: Vec<f64>,
@@ -420,16 +410,14 @@ impl Knot {
     /// `(A B) = (1 0) + h (F G) + h²/2 F (F G)`.
     fn write_step(&self, h: f64, expansion: &mut Expansion) {
         let (n, w) = (self.x_dot.len(), self.row.len());
-        for column in 0..w {
-            let of = self.by.column(column);
-            let to = &mut expansion.dynamics[column * n..(column + 1) * n];
-            to.fill(0.0);
-            linalg::add_mat_vec(to, self.by.as_slice(), n, of.as_slice());
-            for (row, to) in to.iter_mut().enumerate() {
-                let identity = if row == column { 1.0 } else { 0.0 };
-                *to = identity + h * of[row] + 0.5 * h * h * *to;
-                expansion.transposed[column + row * w] = *to;
-            }
+        let (by, Expansion { dynamics, transposed, .. }) = (self.by.as_slice(), expansion);
+        dynamics.fill(0.0);
+        linalg::add_mat_mat(dynamics, by, n, by, w);
+        for (place, (to, by)) in dynamics.iter_mut().zip(by).enumerate() {
+            let (row, column) = (place % n, place / n);
+            let identity = if row == column { 1.0 } else { 0.0 };
+            *to = identity + h * by + 0.5 * h * h * *to;
+            transposed[column + row * w] = *to;
         }
     }
 

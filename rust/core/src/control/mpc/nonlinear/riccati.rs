@@ -62,12 +62,8 @@ impl Riccati {
             self.q.copy_from_slice(&expansion.hessian);
             self.q_vector.copy_from_slice(&expansion.gradient);
             linalg::add_mat_vec(&mut self.q_vector, &expansion.transposed, w, &self.p_vector);
-            for column in 0..w {
-                let product = &mut self.product[column * n..(column + 1) * n];
-                linalg::add_mat_vec(product, &self.p, n, &expansion.dynamics[column * n..(column + 1) * n]);
-                let q = &mut self.q[column * w..(column + 1) * w];
-                linalg::add_mat_vec(q, &expansion.transposed, w, product);
-            }
+            linalg::add_mat_mat(&mut self.product, &self.p, n, &expansion.dynamics, w);
+            linalg::add_mat_mat(&mut self.q, &expansion.transposed, w, &self.product, w);
             for input in 0..m {
                 self.q[(n + input) * (w + 1)] += damping;
             }
@@ -80,10 +76,9 @@ impl Riccati {
             // P = Q_xx + Q_xu K,  p = q_x + Q_xu k
             let q_xu = &self.q[n * w..];
             for column in 0..n {
-                let p = &mut self.p[column * n..(column + 1) * n];
-                p.copy_from_slice(&self.q[column * w..column * w + n]);
-                linalg::add_mat_vec(p, q_xu, w, &gain[column * m..(column + 1) * m]);
+                self.p[column * n..(column + 1) * n].copy_from_slice(&self.q[column * w..column * w + n]);
             }
+            linalg::add_mat_mat(&mut self.p, q_xu, w, gain, n);
             self.p_vector.copy_from_slice(&self.q_vector[..n]);
             linalg::add_mat_vec(&mut self.p_vector, q_xu, w, step);
             for column in 0..n {
