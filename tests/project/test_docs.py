@@ -53,8 +53,8 @@ def test_the_architecture_page_names_every_module_of_the_core_crate():
 
 
 def test_links_to_studies_vanish_with_them(monkeypatch):
-    text = "[one](../../experiments/studies/tune/README.md#what) of [all](../../experiments/studies)"
-    assert hooks.link_site(text, "howto/robot.md") == "[one](../studies/tune.md#what) of [all](../studies/index.md)"
+    text = "[one](../../experiments/studies/design/README.md#what) of [all](../../experiments/studies)"
+    assert hooks.link_site(text, "howto/robot.md") == "[one](../studies/design.md#what) of [all](../studies/index.md)"
     crate = "[it](../../rust/core/src/lib.rs) in [a folder](../../rust/core)"
     assert (
         hooks.link_site(crate, "api/rust.md")

@@ -22,7 +22,7 @@ from jax_aero.base.result import LOST
 
 BASE, PERTURBATION = "mk3_robot", places.CONFIGS / "perturbation" / "robot.toml"
 POSITION, ROTATION = 0.05, np.radians(3.0)
-"""Errors of unit tracking [m, rad], as those of the study `tune`."""
+"""Errors of unit tracking [m, rad]."""
 SETTLED = 1.0
 """Time from which tracking is judged [s]."""
 Row = dict[str, Any]

@@ -1,1 +1,0 @@
-"""The study `height_lost`."""
