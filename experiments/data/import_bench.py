@@ -1,9 +1,7 @@
 """Convert the log of a turbine on a test bench into a dataset: `jax-aero data import-bench SOURCE`.
 
 SOURCE is a table (CSV) with `time_s` and any of `throttle_percent`, `speed_wanted_rpm`, `speed_rpm` and `thrust_n`, at
-any rate; empty cells are missing readings, and rows with `clipped` = 1 have no thrust. Or it is a local clone of
-https://github.com/N8Hawes75/JetCat_Comms, which states no licence and is not shipped here: the speeds that the control
-unit of the turbine logged are then read from its history (its thrusts are TDMS files). Writes `bench_NAME.nc`, with the
+any rate; empty cells are missing readings, and rows with `clipped` = 1 have no thrust. Writes `bench_NAME.nc`, with the
 digest of what was read.
 """
 
@@ -18,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused
-from experiments.data.import_cfd import OUT, git_show, read_table
+from experiments.data.import_cfd import OUT, read_table
 from jax_aero import rust
 from jax_aero.aero.dataset import Floats
 from jax_aero.base.files import write_netcdf
@@ -28,14 +26,6 @@ from jax_aero.cli import Parser
 
 COLUMNS = ("throttle_percent", "speed_wanted_rpm", "speed_rpm", "thrust_n")
 UNITS = {"throttle": "%", "speed_wanted": "rpm", "speed": "rpm", "thrust": "N"}
-COMMIT = "5414e58~1"
-"""Commit of the clone before its logs were deleted."""
-LOG = "decoded_data/2022-12-14/2022-12-14_23:47:19_decoded_data.csv"
-UNIT_COLUMNS = {"RPM (setpoint)": "speed_wanted_rpm", "RPM (actual)": "speed_rpm"}
-UNIT_RATE = 8.55
-"""Rows per second of the control unit's log, which has no stamps: with them its speeds fit the thrusts best."""
-
-
 SIGNALS = ("time", *UNITS)
 
 
@@ -59,14 +49,13 @@ class Bench(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser("data import-bench", __doc__)
-    parser.add_argument("source", type=Path, metavar="SOURCE", help="a table, or a clone of JetCat_Comms")
-    parser.add_argument("--log", default=LOG, metavar="PATH", help="log of the clone, in its history")
+    parser.add_argument("source", type=Path, metavar="SOURCE", help="a table")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the dataset (default results/datasets/bench_NAME.nc)")
     given = parser.parse_args(arguments)
 
     def work() -> None:
         source: Path = given.source
-        text = from_clone(source, given.log) if source.is_dir() else read_table(source)
+        text = read_table(source)
         bench = read_bench(text, source.name)
         out = given.out or OUT / f"bench_{source.stem}.nc"
         digest = hashlib.sha256(text.encode()).hexdigest()
@@ -75,17 +64,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{out}: {len(bench.time)} rows, {', '.join(measured(bench))}; sha256 of the log {digest}")
 
     return exit_status(work)
-
-
-def from_clone(clone: Path, log: str) -> str:
-    """Return the control unit's log from the history of a clone, as a table; rows of a wrong checksum are left out."""
-    kinds = {**dict.fromkeys(UNIT_COLUMNS, "text"), "CRC16_Given": "text", "CRC16_Calculated": "text"}
-    rows = rust.read_csv(git_show(clone, COMMIT, log, "JetCat_Comms"), log, kinds).texts
-    lines = [f"time_s,{','.join(UNIT_COLUMNS.values())}"]
-    for number, (*cells, given, calculated) in enumerate(zip(*rows.values(), strict=True)):
-        if given == calculated:
-            lines.append(",".join([repr(number / UNIT_RATE), *cells]))
-    return "\n".join(lines)
 
 
 def read_bench(text: str, name: str) -> Bench:

@@ -1,10 +1,10 @@
 """Convert wind-tunnel balance files into a dataset: `jax-aero data import-tunnel --clone DIR`.
 
 The files are the `data_GVPM/TID_*.GVP` of the three campaigns in the public repository
-https://github.com/ami-iit/element_cfd-simulation (BSD-3-Clause), none of which is shipped here. A table of points with
-the balance's six components can be read too (`--table`). All components are reduced to force areas and moment volumes
-about the balance centre, the hip-pitch axis and the centre of mass, with an uncertainty budget; gravity sweeps
-(`.tara`) give the position of the centre of gravity relative to the balance centre. Writes one NetCDF file per robot.
+https://github.com/ami-iit/element_cfd-simulation (BSD-3-Clause), none of which is shipped here. All components
+are reduced to force areas and moment volumes about the balance centre, the hip-pitch axis and the centre of mass, with
+an uncertainty budget; gravity sweeps (`.tara`) give the position of the centre of gravity relative to the balance
+centre. Writes one NetCDF file per robot.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.data import tunnel
-from experiments.data.import_cfd import OUT, POSTURES, known_postures, read_table
+from experiments.data.import_cfd import OUT, POSTURES, known_postures
 from experiments.data.ironcub import joint_position
 from experiments.data.tunnel import Points, Test
 from jax_aero.aero.dataset import Floats
@@ -35,31 +35,24 @@ POSTURES_OF_MK3 = places.CONFIGS / "tables" / "postures_mk3.toml"
 TESTS = places.CONFIGS / "tables" / "tunnel_tests.toml"
 ROOTS = ("wind-tunnel", "wind-tunnel-data")
 """Folders of the campaigns in a clone, which differ between commits."""
-SIDES = ("below", "above")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser("data import-tunnel", __doc__)
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
-    source.add_argument("--table", type=Path, metavar="FILE", help="a table of points of one robot (CSV)")
-    parser.add_argument(
-        "--side", choices=SIDES, default="below", help="side of Mk1's balance centre from the hip axis (default below)"
-    )
+    about = "a local clone of element_cfd-simulation"
+    parser.add_argument("--clone", type=Path, required=True, metavar="DIR", help=about)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for tunnel_ROBOT.nc (default results/datasets)")
     given = parser.parse_args(arguments)
     out: Path = given.out or OUT
 
     def work() -> None:
-        found = list(from_clone(given.clone) if given.clone else [from_table(given.table)])
-        for points in found:
-            data = reduce_moments(points, given.side)
+        for points in from_clone(given.clone):
+            data = reduce_moments(points)
             path = out / f"tunnel_{points.robot}.nc"
             write_netcdf(path, data)
             print(summary(data), path, sep="\n")
-        if given.clone:
-            print(sweeps_text(gravity_sweeps(given.clone)))
+        print(sweeps_text(gravity_sweeps(given.clone)))
 
     return exit_status(work)
 
@@ -124,13 +117,8 @@ def from_clone(clone: Path) -> Iterator[Points]:
         yield tunnel.join(parts[robot])
 
 
-def from_table(path: Path) -> Points:
-    """Return the points of a table."""
-    return tunnel.read_reduced(read_table(path), known_tests(), path.name)
-
-
-def reduce_moments(points: Points, side: str) -> xr.Dataset:
-    """Reduce points about the hip and the centre of mass of the robot's model."""
+def reduce_moments(points: Points, side: str = "below") -> xr.Dataset:
+    """Reduce points about the hip and the centre of mass of the robot's model; `side` as in `tunnel.reduce_points`."""
     known = known_postures(path=POSTURES if points.robot == "mk1" else POSTURES_OF_MK3)
     joints = {name: known[name] for name in dict.fromkeys(points.posture)}
     robot = load_robot(ROBOT if points.robot == "mk1" else MK3)

@@ -1,6 +1,6 @@
 """Balance files of the wind tunnel: six components, reduced to force areas and moment volumes with their uncertainty.
 
-    GVP files, or reduced tables ──► Points ──reduce_points──► xarray.Dataset
+    GVP files ──► Points ──reduce_points──► xarray.Dataset
 
 Balance axes of iRonCub-Mk1 are X forward, Y left, Z up and turn with the robot; those of Mk3 are X left, Y down, Z
 backward. Base (`root_link`) axes are x backward, y right, z up. Equations M28 and M95 of `docs/model`.
@@ -8,7 +8,7 @@ backward. Base (`root_link`) axes are x backward, y right, z up. Equations M28 a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,7 +16,6 @@ import numpy as np
 import xarray as xr
 
 from experiments.data.ironcub import JOINTS
-from jax_aero import rust
 from jax_aero.aero.dataset import Floats, number
 
 GVP_COLUMNS = 86
@@ -200,58 +199,6 @@ def _marks(about: Test, point: int, pitch: float) -> tuple[str, ...]:
         *about.marks,
         *about.point_marks.get(point, ()),
         *(("tare extrapolated",) if extrapolated else ()),
-    )
-
-
-def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) -> Points:
-    """Read a table of reduced points that contains the balance components; reductions by others are ignored.
-
-    Columns: campaign, test, point, V, q, rho, T_K, alpha, beta, F*_bal_N, M*_bal_Nm, sdF*, sdM*, zrF*, zrM*.
-    """
-    balance = [f"{name}_bal_{'N' if name[0] == 'F' else 'Nm'}" for name in COMPONENTS]
-    deviations, zeros = ([f"{letters}{name}" for name in COMPONENTS] for letters in ("sd", "zr"))
-    plain = ("V", "q", "rho", "T_K", "alpha", "beta")
-    kinds = {"campaign": "text", "test": "text", **dict.fromkeys(("point", *plain, *balance, *deviations), "number")}
-    # Only the last reading without wind may be missing.
-    found = rust.read_csv(text, source, {**kinds, **dict.fromkeys(zeros, "reading")})
-    if not len(found.lines):
-        raise ValueError(f"{source}: no rows")
-    names, about = [], []
-    for line, campaign, test in zip(found.lines, *found.texts.values(), strict=True):
-        place, key = f"{source}, line {line}", (campaign.lower(), test.upper())
-        if key not in tests:
-            raise ValueError(f"{place}: test {key[1]} of {key[0]} is not in the table of tests")
-        names.append(key[1])
-        about.append(tests[key])
-        if about[-1].robot != about[0].robot:
-            raise ValueError(f"{place}: test {key[1]} is of {about[-1].robot}; expected {about[0].robot}, as before it")
-    points = found.numbers["point"].astype(int).tolist()
-    if (is_part := found.numbers["point"] % 1.0 != 0.0).any():
-        row = int(is_part.argmax())
-        value = found.numbers["point"][row]
-        raise ValueError(f"column point in line {found.lines[row]} of {source} is {value}; expected an integer")
-
-    def numbers(columns: Iterable[str]) -> Floats:
-        return np.column_stack([found.numbers.get(column, np.full(len(names), np.nan)) for column in columns])
-
-    speed, q, rho, temperature, pitch, yaw = numbers(plain).T
-    return Points(
-        campaign=[one.campaign for one in about],
-        test=names,
-        point=points,
-        kind=[one.kind for one in about],
-        posture=[one.posture for one in about],
-        marks=[_marks(one, point, a) for one, point, a in zip(about, points, pitch, strict=True)],
-        robot=about[0].robot,
-        pitch_deg=pitch,
-        yaw_deg=YAW[about[0].robot] * yaw,
-        speed=speed,
-        dynamic_pressure=q,
-        air_density=rho,
-        temperature=temperature,
-        load=numbers(balance),
-        deviation=numbers(deviations),
-        zero_return=numbers(zeros),
     )
 
 

@@ -1,7 +1,5 @@
 """Logs of turbines become datasets: columns, gaps, clipped rows, and refusals with line and column."""
 
-import subprocess
-
 import numpy as np
 import pytest
 
@@ -41,18 +39,3 @@ def test_a_table_becomes_a_dataset(tmp_path, capsys):
 def test_what_is_no_log_is_refused(text, words):
     with pytest.raises(Refused, match=words):
         read_bench(text, "a.csv")
-
-
-def test_rows_of_a_wrong_checksum_are_left_out_of_a_clone(tmp_path, monkeypatch):
-    monkeypatch.setattr(import_bench, "COMMIT", "HEAD")
-    (tmp_path / "log.csv").write_text(
-        ",RPM (setpoint),RPM (actual),CRC16_Given,CRC16_Calculated\n"
-        "0,33000,100,1,1\n1,33000,9999,1,2\n2,33000,300,3,3\n"
-    )
-    for words in (("init", "-q"), ("add", "."), ("-c", "user.name=a", "-c", "user.email=a", "commit", "-qm", "a")):
-        subprocess.run(["git", "-C", str(tmp_path), *words], check=True)
-    bench = read_bench(import_bench.from_clone(tmp_path, "log.csv"), "clone")
-    np.testing.assert_array_equal(bench.speed, [100.0, 300.0])
-    np.testing.assert_allclose(bench.time, [0.0, 2.0 / import_bench.UNIT_RATE])
-    with pytest.raises(Refused, match="expected a full clone of JetCat_Comms"):
-        import_bench.from_clone(tmp_path, "none.csv")

@@ -142,33 +142,6 @@ def test_a_file_that_is_none_is_refused_with_its_place(text, message):
         tunnel.read_gvp(text, "TID_0001.GVP")
 
 
-def reduced_table(load) -> dict[str, str]:
-    """A row of a table of reduced points, by column."""
-    names = ["campaign", "test", "point", "V", "q", "rho", "T_K", "alpha", "beta"]
-    row = dict(
-        zip(names, ["exp_2022_11_03", "TID_0001", "1", "12.0", "85.0", "1.2", "293.0", "90.08", "-0.01"], strict=True)
-    )
-    for prefix, tail, values in (("", True, load), ("sd", False, [0.1] * 6), ("zr", False, [0.0] * 6)):
-        for name, value in zip(tunnel.COMPONENTS, values, strict=True):
-            row[f"{name}_bal_{'N' if name[0] == 'F' else 'Nm'}" if tail else prefix + name] = str(value)
-    return row
-
-
-@pytest.mark.parametrize(
-    ("column", "text", "message"),
-    [
-        ("q", "8;5", "column q in line 2 of t.csv is 8;5; expected a finite number"),
-        ("sdMx", "nan", "column sdMx in line 2 of t.csv is nan; expected a finite number"),
-        ("point", "1.5", "column point in line 2 of t.csv is 1.5; expected an integer"),
-    ],
-)
-def test_a_table_of_points_is_refused_with_line_and_column(column, text, message):
-    row = reduced_table((1.0,) * 6) | {column: text}
-    cells = ",".join(row.values())
-    with pytest.raises(ValueError, match=message):
-        tunnel.read_reduced(",".join(row) + "\n" + cells, import_tunnel.known_tests(), "t.csv")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -185,55 +158,20 @@ def test_a_gravity_sweep_that_is_incomplete_is_refused(text, message):
         tunnel.read_sweep(text, "t.tara")
 
 
-def test_a_table_that_is_no_text_is_named(tmp_path, capsys):
-    path = tmp_path / "t.csv"
-    path.write_bytes(b"\xff\xfe")
-    assert import_tunnel.main(["--table", str(path)]) == 2
-    assert f"error: {path} is not text: " in capsys.readouterr().err
-
-
-def test_a_table_of_two_robots_is_refused():
-    row = reduced_table((1.0,) * 6)
-    rows = [row, row | {"campaign": "exp_2023_12_11"}]
-    text = "\n".join([",".join(row), *(",".join(one.values()) for one in rows)])
-    with pytest.raises(ValueError, match=r"t.csv, line 3: test TID_0001 is of mk3; expected mk1, as before it"):
-        tunnel.read_reduced(text, import_tunnel.known_tests(), "t.csv")
-
-
-def test_a_line_that_is_cut_is_named_whatever_is_left_of_it():
-    row = reduced_table((1.0,) * 6)
-    whole = ",".join(row.values())
-    for left in ("exp_2022_1", "exp_2022_11_03,TID_00", whole.rpartition(",")[0]):
-        text = "\n".join([",".join(row), whole, "", left])
-        with pytest.raises(ValueError, match=r"number of cells in line 4 of t\.csv is "):
-            tunnel.read_reduced(text, import_tunnel.known_tests(), "t.csv")
-
-
 def test_names_of_tests_may_be_in_lower_case(tmp_path):
-    row = reduced_table((1.0,) * 6)
-    text = "\n".join([",".join(row), ",".join((row | {"test": "tid_0001"}).values())])
-    assert tunnel.read_reduced(text, import_tunnel.known_tests(), "t.csv").test == ["TID_0001"]
     lines = gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)])
     (points,) = import_tunnel.from_clone(clone(tmp_path, {"tid_0001.gvp": lines, "TID_0018.GVP": lines}))
     assert set(points.test) == {"TID_0001", "TID_0018"}
 
 
-def test_a_table_may_lack_the_last_reading_without_wind():
-    row = reduced_table((1.0,) * 6) | {f"zr{name}": "nan" for name in tunnel.COMPONENTS}
-    points = tunnel.read_reduced(",".join(row) + "\n" + ",".join(row.values()), import_tunnel.known_tests(), "t.csv")
-    assert np.isnan(points.zero_return).all()
-
-
-def test_the_command_writes_what_it_reads_from_files_and_tables(tmp_path, capsys):
+def test_the_command_writes_what_it_reads(tmp_path, capsys):
     row = (1, 0.08, -0.01, 12.0, 85.0, (-20.0, -0.5, 0.4, -0.4, -1.6, -0.1))
     files = clone(tmp_path / "clone", {"TID_0001.GVP": gvp([row])})
     assert import_tunnel.main(["--clone", str(files), "--out", str(tmp_path / "a")]) == 0
     assert "mk1: 1 points of 1 tests" in capsys.readouterr().out
-    table = reduced_table(row[5])
-    (tmp_path / "table.csv").write_text(",".join(table) + "\n" + ",".join(table.values()) + "\n")
-    assert import_tunnel.main(["--table", str(tmp_path / "table.csv"), "--out", str(tmp_path / "b")]) == 0
-    one, other = (xr.load_dataset(tmp_path / folder / "tunnel_mk1.nc", engine="h5netcdf") for folder in "ab")
-    xr.testing.assert_allclose(one, other, atol=1e-12)
+    (points,) = import_tunnel.from_clone(files)
+    written = xr.load_dataset(tmp_path / "a" / "tunnel_mk1.nc", engine="h5netcdf")
+    xr.testing.assert_allclose(written, import_tunnel.reduce_moments(points), atol=1e-12)
     assert import_tunnel.main(["--clone", str(tmp_path / "nowhere")]) == 2
     assert "expected a clone" in capsys.readouterr().err
 
