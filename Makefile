@@ -191,7 +191,7 @@ lint-python: $(PACKAGES)
 bench: $(PACKAGES) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
 	cargo bench --locked --bench dynamics --bench aero
 	$(BIN)/python -m experiments.bench
-	$(BIN)/python -m experiments.bench_jax --quick
+	$(BIN)/python -m experiments.bench_jax
 
 figures: $(PACKAGES) ## fly the demo's flights, and draw every figure whose results are there
 	$(BIN)/jax-aero fly $(DEMO) --overwrite
