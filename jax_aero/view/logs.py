@@ -309,6 +309,9 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
         entries = [_hold(one, ticks, held * max(period, _typical_step(one.times))) for one in series]
         flat = np.concatenate([entry.reshape(ticks.size, -1) for entry in entries], axis=1)
         if name == QUATERNION:
+            if (zero := np.flatnonzero(~flat.any(axis=1))).size:
+                where = f"`{QUATERNION}` of `{path}` is 0 0 0 0 at {ticks[zero[0]]:g} s, in {zero.size} ticks"
+                raise Refused(f"{where}; expected a rotation, or nothing where it is not measured")
             found["raw_base_rotation"] = rust.rotation_from_wxyz(flat)
         else:
             shape = [len(names) for names in recording.axes_of(name, robot)]

@@ -92,7 +92,7 @@ def problem(x64, tmp_path_factory):
         squares = jnp.sum(com**2, axis=1) + angle**2 + 1e-6 * jnp.sum(thrust**2, axis=1)
         return jnp.sum(jnp.where(flies, squares, 0.0)), (status, after.loss_tick)
 
-    return at, jax.jit(cost), jax.jit(jax.value_and_grad(cost, has_aux=True))
+    return at, jax.jit(cost), jax.jit(jax.value_and_grad(jax.checkpoint(cost), has_aux=True))
 
 
 def test_gradient_of_a_closed_loop(problem, measured):

@@ -117,3 +117,11 @@ def test_jitter_of_stamps_is_no_other_period(config, flown):
         else:
             with pytest.raises(ValueError, match="period of the log"):
                 rust.replay(config, found)
+
+
+def test_a_rotation_of_zeros_is_refused(flown, config, tmp_path):
+    """It is what a logger writes before its first message."""
+    turned = flown | {"raw_base_quaternion": flown["raw_base_quaternion"] * (np.arange(ROWS) > 3)[:, None]}
+    path = recorded(tmp_path / "log.mcap", turned, NS, is_late=False)
+    with pytest.raises(Refused, match=r"`raw_base_quaternion` of .* is 0 0 0 0 at .* in 4 ticks; expected a rotation"):
+        ticks(path, config, mapping(tmp_path, *BOTH))
