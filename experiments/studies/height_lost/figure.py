@@ -1,0 +1,39 @@
+"""Least height lost after an engine stops, by the time and the thrust of the others."""
+
+from __future__ import annotations
+
+from itertools import cycle
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.entry import Entry
+from paper_figs.panels import readable_name
+
+COLOURS = (style.VERMILION, style.BLUE, style.GREEN, style.BLACK)
+LABELS = {
+    "spool_up": "time that the engines take, relative to theirs",
+    "thrust": "thrust of the engines, relative to theirs",
+}
+
+
+def draw(study: xr.Dataset) -> Figure:
+    """Draw both dependences, and the heights that flights lose as dotted lines."""
+    figure = style.figure(2.8)
+    panels = figure.subplots(1, 2, sharey=True)
+    for axes, (axis, label), other in zip(panels, LABELS.items(), reversed(LABELS), strict=True):
+        cells = [(robot, engine) for robot in study["robot"].values for engine in study["engine"].values]
+        for (robot, engine), colour in zip(cells, cycle(COLOURS), strict=False):
+            one = study.sel(robot=robot, engine=engine)
+            one = one.isel(others=one[other].values == 1.0).sortby(axis)
+            axes.plot(one[axis], one["height"], "o-", color=colour, label=f"{robot}, {readable_name(engine)}")
+            axes.axhline(float(one["flown_height"]), color=colour, linestyle=":")
+        axes.set_xlabel(label)
+    panels[0].set_ylim(bottom=0.0)
+    panels[0].set_ylabel("height lost [m]")
+    style.legend_above(panels[0], 4)
+    return figure
+
+
+FIGURES = {"height_lost": Entry(draw, "the least height lost after an engine stops", "height_lost", ("hover",))}

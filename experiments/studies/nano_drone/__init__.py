@@ -1,0 +1,1 @@
+"""A real quadrotor's numbers from its public logs."""

@@ -1,0 +1,276 @@
+"""Compare the force areas of iRonCub-Mk3 with the wind tunnel of December 2023.
+
+Every coefficient set of the robot is evaluated at the measured points, and a network if one is named. Points of equal
+posture and wind are averaged; intervals are computed by drawing postures with replacement. Signs of the mount are
+tested: both signs of the yaw, and the robot facing the wind or away from it. In side winds the force that a model
+lacks is located by its moment. The result goes to `results/tunnel_mk3/december/`. Needs
+`results/datasets/tunnel_mk3.nc` of `import-tunnel`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import msgspec
+import numpy as np
+import xarray as xr
+
+from experiments import Refused
+from experiments.cfd.models import NEWTON_METRES, evaluate_areas
+from experiments.cfd.tunnel import SUPPORT
+from experiments.data import fit, tunnel
+from experiments.data.import_cfd import OUT
+from experiments.data.import_tunnel import MK3
+from experiments.data.ironcub import joint_position
+from experiments.study import Findings, Study
+from jax_aero.aero.dataset import Floats, wind_direction
+from jax_aero.aero.posture import axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
+from jax_aero.base import run_file, tables
+from jax_aero.body.robot import RobotModel, load_robot
+
+SPEED = 17.0
+"""Speed at which a model is evaluated; areas do not depend on it [m/s]."""
+SIDE_WIND = 60.0
+"""Least yaw of a side wind [deg]."""
+TURNED = np.array([-1.0, -1.0, 1.0])
+"""Signs of a vector's components, base axes, when the robot is turned about its vertical axis by 180°."""
+
+
+class TunnelConfig(tables.Table, frozen=True):
+    """Settings of a comparison."""
+
+    tunnel: Path = msgspec.field(default_factory=lambda: OUT / "tunnel_mk3.nc")
+    """Dataset of `import-tunnel`."""
+    robot: Path = msgspec.field(default_factory=lambda: MK3)
+    network: Path | None = None
+    """Card of a network of `train` to compare too."""
+
+
+Model: TypeAlias = Callable[[Floats, Floats], Floats]
+"""Function from joint angles (N, 19) [deg] and unit winds (N, 3) to force areas (N, L, 3) [m²], base axes."""
+
+
+class Points(NamedTuple):
+    """Measured points, N rows, base axes."""
+
+    posture: Any
+    """(N,) names."""
+    kind: Any
+    """(N,) kinds of test, `hovering` or `flight`."""
+    joints: Floats
+    """(N, 19) [deg], order of `JOINTS`."""
+    pitch: Floats
+    """(N,) angle of the robot's vertical axis above the horizontal [deg]."""
+    yaw: Floats
+    """(N,) yaw about the tunnel's vertical [deg]."""
+    wind: Floats
+    """(N, 3) unit vectors of the air's motion."""
+    force: Floats
+    """(N, 3) force areas [m²]."""
+    moment: Floats
+    """(N, 3) moment volumes about the centre of mass [m³]."""
+
+    def take(self, rows: Any) -> Points:
+        """Return the selected points."""
+        return Points(*(values[rows] for values in self))
+
+    @property
+    def drag(self) -> Floats:
+        """Return the drag areas (N,) [m²]."""
+        found: Floats = np.sum(self.force * self.wind, axis=1)
+        return found
+
+
+def compute(_: str, config: TunnelConfig) -> Findings:
+    """Evaluate and compare."""
+    if not config.tunnel.is_file():
+        raise Refused(f"no {config.tunnel.name}; make it with: jax-aero data import-tunnel --clone DIR")
+    robot = load_robot(config.robot)
+    points = read_points(run_file.read(config.tunnel), axes_of(robot))
+    groups = groups_of(points)
+    summary: dict[str, Any] = signs_of_yaw(points)
+    modelled = {}
+    for name, model in models_of(robot, config.network).items():
+        force, moment = modelled[name] = totals(robot, model, points)
+        for group, rows in groups.items():
+            found = errors(points.take(rows), force[rows], moment[rows])
+            summary |= {f"{name}, {group}: {key}": value for key, value in found.items()}
+        summary |= {f"{name}, {key}": value for key, value in facing(robot, model, points).items()}
+        rows = groups["side wind"]
+        summary |= {
+            f"{name}, side wind: {key}": value for key, value in missing_force(points, force, moment, rows).items()
+        }
+    for group, rows in groups.items():
+        found = errors(points.take(rows), np.zeros((rows.sum(), 3)), np.zeros((rows.sum(), 3)))
+        key = "moment, rms [N m at 10 m/s]"
+        summary |= {f"no moment, {group}: {key}": found[key]}
+    summary |= symmetry(points)
+    return Findings("Force areas of iRonCub-Mk3 beside the wind tunnel", to_dataset(points, modelled), summary)
+
+
+STUDY = Study("tunnel_mk3", __doc__, TunnelConfig, compute, ("december",), backend="jax")
+main = STUDY.main
+
+
+def read_points(data: xr.Dataset, axes: Floats) -> Points:
+    """Return the points that are not in doubt, averaged over those of equal posture and wind, in `axes`."""
+    marks = data["marks"].values.astype(str)
+    data = data.isel(point=(marks == "") | (marks == SUPPORT))
+    place = np.round(np.column_stack([data["pitch"].values, data["yaw"].values]))
+    names = np.char.add(data["posture"].values.astype(str), [f" {p:.0f} {y:.0f}" for p, y in place])
+    _, first, group = np.unique(names, return_index=True, return_inverse=True)
+
+    def mean(values: Floats) -> Floats:
+        total = np.zeros((len(first), *values.shape[1:]))
+        np.add.at(total, group.reshape(-1), values)
+        averaged: Floats = (total.T / np.bincount(group.reshape(-1))).T
+        return averaged
+
+    pitch, yaw = mean(data["pitch"].values), mean(data["yaw"].values)
+    return Points(
+        posture=data["posture"].values.astype(str)[first],
+        kind=data["kind"].values.astype(str)[first],
+        joints=data["joint_position"].values[first],
+        pitch=pitch,
+        yaw=yaw,
+        wind=wind_direction(pitch, yaw) @ axes.T,
+        force=mean(data["force_area"].values) @ axes.T,
+        moment=mean(data["moment_com"].values) @ axes.T,
+    )
+
+
+def groups_of(points: Points) -> dict[str, Any]:
+    """Return the rows (N,) of every group."""
+    hovering, yaw = points.kind == "hovering", np.abs(points.yaw)
+    limit = tunnel.EXPOSED["hovering"]
+    return {
+        "flight postures": ~hovering & (yaw <= tunnel.EXPOSED["flight"]),
+        "hovering, yaw to 20 deg": hovering & (yaw <= limit),
+        "side wind": hovering & (yaw >= SIDE_WIND - 0.5),
+    }
+
+
+def models_of(robot: RobotModel, network: Path | None) -> dict[str, Model]:
+    """Return the robot's coefficient sets and the network as functions."""
+
+    def axisymmetric(coefficients: Floats) -> Model:
+        return lambda joints, wind: fit.predicted_areas(
+            coefficients, link_axes(robot, joint_position(robot, joints)), wind
+        )
+
+    found = {name: axisymmetric(np.asarray(areas)) for name, areas in robot.aero_links.coefficients.items()}
+    if network:
+        table = {"model": "network", "card": str(network), "precision": "f32", "air_density": 1.225}
+        found["network"] = lambda joints, wind: evaluate_areas(robot, table, joints, SPEED * wind)
+    return found
+
+
+def totals(robot: RobotModel, model: Model, points: Points, turned: bool = False) -> tuple[Floats, Floats]:
+    """Return force areas (N, 3) [m²] and moment volumes about the centre of mass (N, 3) [m³] of a model."""
+    areas = model(points.joints, points.wind * TURNED if turned else points.wind)
+    force, moment = total_wrench(robot, joint_position(robot, points.joints), areas)
+    return (force * TURNED, moment * TURNED) if turned else (force, moment)
+
+
+def errors(points: Points, force: Floats, moment: Floats) -> dict[str, float]:
+    """Return errors of forces [m²] and moments [m³], with 95 % intervals over postures."""
+    off = force - points.force
+    drag = np.sum(off * points.wind, axis=1, keepdims=True)
+    mean = np.mean(points.drag)
+    parts = {
+        "drag, rms over mean": drag / mean,
+        "lateral force, rms [m2]": off[:, 1:2],
+        "force across the wind, rms [m2]": off - drag * points.wind,
+        "moment, rms [N m at 10 m/s]": NEWTON_METRES * (moment - points.moment),
+    }
+    found: dict[str, float] = {"points": len(off), "postures": len(np.unique(points.posture))}
+    found["drag, mean over mean"] = float(drag.mean() / mean)
+    for name, values in parts.items():
+        found[name] = vector_rms(values)
+        for end, value in zip(("2.5 %", "97.5 %"), interval_by_posture(values, points.posture), strict=True):
+            found[f"{name}, {end}"] = value
+    return found
+
+
+def signs_of_yaw(points: Points) -> dict[str, float]:
+    """Return what forces say of the sign of the yaw: a force against the wind is none of the air."""
+    rows = np.abs(points.yaw) > 5.5
+    found: dict[str, float] = {}
+    for name, sign in (("opposite to the files'", 1.0), ("the files'", -1.0)):
+        wind = points.wind * [1.0, sign, 1.0]
+        found[f"yaw {name}: lateral force with the wind, share"] = float(np.mean((points.force * wind)[rows, 1] > 0.0))
+        drag = np.sum(points.force * wind, axis=1)[groups_of(points)["side wind"]]
+        found[f"yaw {name}: mean drag in side wind [m2]"] = float(drag.mean())
+    return found
+
+
+def facing(robot: RobotModel, model: Model, points: Points) -> dict[str, float]:
+    """Return the errors of lift and pitching moment in flight postures if the robot faces the wind, and if not."""
+    rows = groups_of(points)["flight postures"]
+    own = points.take(rows)
+    found: dict[str, float] = {}
+    for name, turned in (("facing the wind", False), ("facing away", True)):
+        force, moment = totals(robot, model, own, turned)
+        off = force - own.force
+        off -= np.sum(off * own.wind, axis=1, keepdims=True) * own.wind
+        found[f"{name}: lift, rms [m2]"] = vector_rms(off[:, ::2])
+        found[f"{name}: pitching moment, rms [N m at 10 m/s]"] = NEWTON_METRES * vector_rms(
+            (moment - own.moment)[:, 1:2]
+        )
+    return found
+
+
+def missing_force(points: Points, force: Floats, moment: Floats, rows: Any) -> dict[str, float]:
+    """Return the force that a model lacks and its place from the centre of mass, by `ΔM = r × ΔF`."""
+    own = points.take(rows)
+    lacks, turned = own.force - force[rows], own.moment - moment[rows]
+    found: dict[str, float] = {"force that is lacking, along the wind [m2]": float(np.sum(lacks * own.wind, 1).mean())}
+    each = [
+        np.sum(lacks[own.posture == name] * own.wind[own.posture == name], axis=1).mean()
+        for name in np.unique(own.posture)
+    ]
+    found["the same, standard deviation over postures [m2]"] = float(np.std(each, ddof=1))
+    place, deviation = tunnel.centre_of_gravity(lacks, turned)
+    for axis, value, unsure in zip("xyz", place, deviation, strict=True):
+        found[f"its place from the centre of mass, {axis} [m]"] = float(value)
+        found[f"its place from the centre of mass, {axis}, standard error [m]"] = float(unsure)
+    return found
+
+
+def symmetry(points: Points) -> dict[str, float]:
+    """Return the parts of force and moment that change with the sign of the yaw and that do not, for homePos."""
+    own = points.take(points.posture == "homePos")
+    found: dict[str, float] = {}
+    for angle in (30.0, 60.0, 90.0):
+        left, right = (own.take(np.abs(own.yaw - sign * angle) < 1.0) for sign in (1.0, -1.0))
+        for name, key, units in (("force", "force", "[m2]"), ("moment", "moment", "[m3]")):
+            here, there = (getattr(side, key).mean(axis=0) for side in (left, right))
+            for axis, a, b in zip("xyz", here, there, strict=True):
+                found[f"homePos at {angle:.0f} deg, {name} {axis}: even part {units}"] = float(a + b) / 2.0
+                found[f"homePos at {angle:.0f} deg, {name} {axis}: odd part {units}"] = float(a - b) / 2.0
+    return found
+
+
+def to_dataset(points: Points, modelled: dict[str, tuple[Floats, Floats]]) -> xr.Dataset:
+    """Return measured and modelled totals."""
+    names = list(modelled)
+    vector, area, volume = ("point", "xyz"), {"units": "m2"}, {"units": "m3"}
+    return xr.Dataset(
+        {
+            "force_area": (vector, points.force, area),
+            "moment_com": (vector, points.moment, volume),
+            "force_area_model": (("model", *vector), np.stack([modelled[name][0] for name in names]), area),
+            "moment_com_model": (("model", *vector), np.stack([modelled[name][1] for name in names]), volume),
+            "wind": (vector, points.wind),
+        },
+        {
+            "model": names,
+            "xyz": ["x", "y", "z"],
+            "posture": ("point", points.posture.astype(str)),
+            "kind": ("point", points.kind.astype(str)),
+            "pitch": ("point", points.pitch, {"units": "degree"}),
+            "yaw": ("point", points.yaw, {"units": "degree"}),
+        },
+    )

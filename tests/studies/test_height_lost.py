@@ -1,0 +1,55 @@
+"""Height lost after an engine stops: the engine, what ends a fall, and the fall of a robot in few intervals."""
+
+import casadi as ca
+import jax
+import numpy as np
+import pytest
+
+from experiments.studies.height_lost import study as height_lost
+from jax_aero import rust
+from jax_aero.base import tables
+from jax_aero.base.places import ROBOT
+from jax_aero.body import jets
+
+ASKED = height_lost.HeightLost(intervals=4)
+
+
+@pytest.fixture(scope="module")
+def fall():
+    return height_lost.Fall(ASKED, rust.load_config("robot"), "chest_l_jet")
+
+
+def test_an_engine_is_that_of_the_twin_and_scales_in_time_and_thrust(agree):
+    k = tables.read(ROBOT)["engines"]["P160"]
+    engine = jets.Engines(**{name: np.array([float(k[name])]) for name in jets.Engines._fields})
+    with jax.enable_x64(True):
+        expected = jets.thrust_acceleration(engine, np.array([80.0]), np.array([12.0]), np.array([60.0]))
+    found = height_lost._acceleration(k, 2 * 80.0, 2 * 12.0 / 3.0, height_lost._input(k, 60.0), ca.DM([3.0, 2.0]))
+    agree("acceleration", float(found), 2.0 / 9.0 * float(expected[0]), 1e-12)
+
+
+def test_without_reaction_it_falls_and_turns(fall):
+    """A chest engine carried a fourth of the weight; the arms of the others turn it."""
+    assert -0.5 < fall.start[height_lost.DOWNWARDS] < 0.24
+    assert 0.02 < np.abs(fall.start[height_lost.TURN][:2]).max() < 0.2
+    assert abs(fall.start[14]) < 1e-12
+
+
+def test_weak_engines_end_no_fall(fall):
+    assert fall.greatest_acceleration(1.0) > 1.0
+    assert fall.solve(1.0, 0.7)[0].height != fall.solve(1.0, 0.7)[0].height
+
+
+def test_a_fall_ends_within_the_limits_of_a_landing(fall):
+    landing, found = fall.solve(1.0, 1.0)
+    path = found[: fall.size * 5].reshape(5, fall.size)
+    assert 0.5 < landing.height < 4.0
+    assert path[-1, height_lost.DOWNWARDS] >= -height_lost.DOWNWARDS_MAX - 1e-6
+    assert float(fall.upright(path[-1])) >= np.cos(height_lost.LEAN_MAX) - 1e-6
+
+
+def test_strong_and_fast_engines_lose_no_height_and_gain_none(fall):
+    """Where climbing first is allowed the end is 168 m above the start."""
+    _, found = fall.solve(1.0, 1.0)
+    landing, _ = fall.solve(0.1, 2.0, found)
+    assert 0.0 <= landing.height < 0.1
