@@ -87,10 +87,6 @@ class FlightEnv:
     ----------
     task
         The task to learn, or the name of an experiment to learn to hover in.
-    changes
-        Changes of the configuration by dotted key, as in `load_config`.
-    dtype
-        Precision of the simulation; by default that of JAX (`jax.enable_x64`).
     drawn
         Configurations of which every episode draws one, in place of the task's experiment: with other masses, latencies
         or sensors, by hand or by the perturbations of a sweep. They have the same switches and differ in numbers.
@@ -104,13 +100,11 @@ class FlightEnv:
     def __init__(
         self,
         task: Task | str | None = None,
-        changes: Mapping[str, Any] | None = None,
-        dtype: Any = None,
         drawn: Sequence[Mapping[str, Any]] = (),
     ) -> None:
         self.task = task_of(task)
-        precision = np.dtype(jnp.result_type(float)) if dtype is None else np.dtype(dtype)
-        configs = list(drawn) or [load_config(self.task.experiment, changes)]
+        precision = np.dtype(jnp.result_type(float))
+        configs = list(drawn) or [load_config(self.task.experiment)]
         ready = [self._prepare(config, precision) for config in configs]
         shapes = [(jax.tree.structure(one), [jnp.shape(leaf) for leaf in jax.tree.leaves(one)]) for one in ready]
         for number, shape in enumerate(shapes):

@@ -226,9 +226,9 @@ def read_bytes(path: Path, greatest: int = MAX_SIZE) -> bytes:
     return path.read_bytes()
 
 
-def read_text(path: Path, greatest: int = MAX_SIZE) -> str:
+def read_text(path: Path) -> str:
     """Read a text file in UTF-8, with the limits of `read_bytes`."""
-    return read_bytes(path, greatest).decode()
+    return read_bytes(path).decode()
 
 
 MAX_DEPTH = 64
@@ -261,15 +261,8 @@ def check_depth(document: Any) -> None:
         raise ValueError(TOO_DEEP)
 
 
-def read_json(path: Path, form: Any = dict[str, Any], greatest: int = MAX_SIZE) -> dict[str, Any]:
-    """Read a JSON document whose root is a table.
-
-    Parameters
-    ----------
-    form
-        Type of the keys that are read (`jax_aero.base.documents`).
-    greatest
-        Greatest size of the file [bytes].
+def read_json(path: Path, form: Any = dict[str, Any]) -> dict[str, Any]:
+    """Read a JSON document whose root is a table; `form` is the type of the keys that are read (`base.documents`).
 
     Raises
     ------
@@ -277,7 +270,7 @@ def read_json(path: Path, form: Any = dict[str, Any], greatest: int = MAX_SIZE) 
         If the file cannot be read or is invalid; the message names it.
     """
     try:
-        document: dict[str, Any] = parse_json(read_bytes(path, greatest))
+        document: dict[str, Any] = parse_json(read_bytes(path))
         msgspec.convert(document, form)
     except OSError as reason:
         raise Refused(f"{path} cannot be read: {reason.strerror}") from None

@@ -102,14 +102,12 @@ def fly_batch(
     progress: Progress | None = None,
     *,
     full_log: bool = False,
-    dtype: Any = np.float64,
     most_together: int | None = None,
-    devices: Sequence[jax.Device] | None = None,
 ) -> list[FlightResult]:
     """Fly many configurations; except for rounding, the results do not depend on how they are grouped.
 
     Without `full_log` only outcome and summary are guaranteed. `progress(done, total)` counts flights. At most
-    `most_together` flights are in the memory of a device at once; by default all devices are used.
+    `most_together` flights are in the memory of a device at once; all devices are used.
 
     Raises
     ------
@@ -119,10 +117,10 @@ def fly_batch(
     if most_together is not None and most_together < 1:
         raise ValueError(f"`most_together` is {most_together}; expected at least 1, or None for the usual number")
     with jax.enable_x64(True):
-        workers = tuple(jax.devices() if devices is None else devices)
+        workers = tuple(jax.devices())
         together = most_together or MOST_TOGETHER.get(workers[0].platform, MOST_ELSEWHERE)
         # All configurations are read before the first flight is prepared, so that errors are reported at once.
-        groups = group_flights(configs, dtype)
+        groups = group_flights(configs)
         total = sum(len(group.places) for group in groups)
         flights: dict[int, FlightResult] = {}
         for group in groups:
@@ -139,10 +137,10 @@ def fly_batch(
     return [flights[place] for place in range(total)]
 
 
-def group_flights(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: Any = np.float64) -> list[Group]:
+def group_flights(configs: Iterable[ScenarioConfig | Mapping[str, Any]]) -> list[Group]:
     """Prepare flights and group them by structure, robot and networks; within a group they keep their order."""
     found: dict[Any, Group] = {}
-    for place, (scenario, state) in enumerate(_prepare_flights(list(_read_configs(configs)), dtype)):
+    for place, (scenario, state) in enumerate(_prepare_flights(list(_read_configs(configs)))):
         leaves, structure = jax.tree.flatten(scenario)
         is_shared = tuple(jax.tree.leaves(_mark_shared(scenario)))
         common = tuple(leaf.tobytes() for leaf, shared in zip(leaves, is_shared, strict=True) if shared)
@@ -170,7 +168,7 @@ def _read_configs(configs: Iterable[ScenarioConfig | Mapping[str, Any]]) -> Iter
             yield read_config(config)
 
 
-def _prepare_flights(configs: Iterable[ScenarioConfig], dtype: Any) -> Iterator[tuple[Scenario, FlightState]]:
+def _prepare_flights(configs: Iterable[ScenarioConfig]) -> Iterator[tuple[Scenario, FlightState]]:
     read_robot = cache(load_robot)
     networks: dict[tuple[str, str], Network] = {}
 
@@ -180,7 +178,7 @@ def _prepare_flights(configs: Iterable[ScenarioConfig], dtype: Any) -> Iterator[
 
     for index, config in enumerate(configs):
         with _name_flight(index):
-            ready = prepare(config, read_robot(config.robot), dtype=dtype, read_network=read_network)
+            ready = prepare(config, read_robot(config.robot), read_network=read_network)
         yield jax.device_get(ready)
 
 

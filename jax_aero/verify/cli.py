@@ -7,7 +7,7 @@
     jax-aero verify --config test4                     # the network, in double precision
     jax-aero verify --config robot                     # what the crate alone flies: its law
 
-Prints a table, writes it with a figure, and exits with status 1 if anything disagrees. States and ticks are compared
+Prints a table, writes it, and exits with status 1 if anything disagrees. States and ticks are compared
 relative to the largest entry of the crate's results, or with its rounding where terms cancel; the flight from its start
 by the absolute difference of every logged signal, as far as it can be reproduced. A result of the same files and
 options is replaced, that of others only with --overwrite.
@@ -23,11 +23,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jax_aero import rust
 from jax_aero.base import places
-from jax_aero.base.files import complete_file, read_json, replace_infinite, write_json, write_text
+from jax_aero.base.files import read_json, replace_infinite, write_json, write_text
 from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.cli import Parser, complete_with, count
@@ -130,7 +128,7 @@ def _parse(arguments: Sequence[str]) -> Any:
     parser.add_argument("--dynamics", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
     about = "libflight.so to compare (default: the newest that cargo built)"
     parser.add_argument("--library", type=Path, metavar="FILE", help=about)
-    parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")
+    parser.add_argument("--out", type=Path, help="folder for the table; default results/verify/NAME")
     parser.add_argument("--overwrite", action="store_true", help="replace the result of another comparison")
     options = parser.parse_args(arguments)
     if options.robot and (options.controller or options.set):
@@ -158,29 +156,6 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join([head, rule, *lines])
 
 
-def draw(rows: Sequence[Row], path: Path) -> bool:
-    """Draw every difference beside its tolerance; return `False` without matplotlib."""
-    try:
-        from matplotlib import rcdefaults
-        from matplotlib.figure import Figure
-    except ImportError:
-        return False
-    rcdefaults()
-    figure = Figure(figsize=(7.0, 0.8 + 0.16 * len(rows)), layout="constrained")
-    axes = figure.subplots()
-    places = np.arange(len(rows))
-    shown = [max(row.relative if row.is_relative else row.absolute, 1e-17) for row in rows]
-    colours = ["#0072b2" if row.agrees else "#d55e00" for row in rows]
-    axes.barh(places, np.nan_to_num(shown, nan=1.0), left=1e-17, color=colours, height=0.7)
-    axes.scatter([max(row.tolerance, 1e-17) for row in rows], places, marker="|", color="black", s=40)
-    axes.set(xscale="log", xlim=(1e-17, 10.0), xlabel="worst difference; tick: tolerance")
-    axes.set_yticks(places, [f"{row.group}: {row.quantity}" for row in rows], fontsize=6)
-    axes.set_ylim(len(rows) - 0.3, -0.7)
-    with complete_file(path) as draft:
-        figure.savefig(draft, dpi=150)
-    return True
-
-
 def _lines(facts: Mapping[str, Any]) -> str:
     return "\n".join(
         f"{name}: {', '.join(value) or 'none' if isinstance(value, list) else value}" for name, value in facts.items()
@@ -188,9 +163,9 @@ def _lines(facts: Mapping[str, Any]) -> str:
 
 
 def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[Path]:
-    """Write table, numbers and figure; return the paths written."""
-    text, numbers, figure = folder / "verify.md", folder / NUMBERS, folder / "verify.png"
+    """Write table and numbers; return the paths written."""
+    text, numbers = folder / "verify.md", folder / NUMBERS
     write_text(text, f"# Rust against JAX\n\n{_lines(facts)}\n\n{table(rows)}\n")
     entries = [replace_infinite(asdict(row) | {"relative": row.relative, "agrees": row.agrees}) for row in rows]
     write_json(numbers, dict(facts) | {"rows": entries})
-    return [text, numbers, *([figure] if draw(rows, figure) else [])]
+    return [text, numbers]

@@ -8,7 +8,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -43,33 +42,20 @@ ROLES: dict[Role, Colour] = {
 }
 
 
-@dataclass(frozen=True)
-class Scales:
-    """Lengths of arrows and plumes per unit of the quantity drawn."""
-
-    force: float = 0.15
-    """Length per force [m/N]."""
-    thrust: float = 0.0036
-    """Length per thrust [m/N]."""
-    wind: float = 0.08
-    """Length per wind speed [m per m/s]."""
-
-    @property
-    def reference_force(self) -> float:
-        """Round value of a force whose arrow is about 0.3 m long [N], for a legend."""
-        wanted = 0.3 / self.force
-        power = 10.0 ** np.floor(np.log10(wanted))
-        return float(power * max(step for step in (1.0, 2.0, 5.0) if step <= 1.0001 * wanted / power))
+SCALES = {"force": 0.15, "thrust": 0.0036, "wind": 0.08}
+"""Lengths of arrows and plumes per unit of the quantity drawn [m/N, m/N, m per m/s]."""
+REFERENCE_FORCE = 2.0
+"""Force whose arrow is in the legend [N]."""
 
 
-def force_arrows(look: Look, instant: Instant, scales: Scales) -> Vector:
+def force_arrows(look: Look, instant: Instant) -> Vector:
     """Return tail and tip of the arrow of each link's aerodynamic force, at its point of action, (links, 2, 3) [m]."""
     if not look.links:
         return np.zeros((0, 2, 3))
     bodies = [link.body for link in look.links]
     offsets = np.array([link.position for link in look.links])
     tails = instant.body_positions[bodies] + np.einsum("nij,nj->ni", instant.body_rotations[bodies], offsets)
-    return np.stack([tails, tails + scales.force * instant.aero_force], axis=1)
+    return np.stack([tails, tails + SCALES["force"] * instant.aero_force], axis=1)
 
 
 PLUME_RADIUS = 0.042  # m
@@ -77,12 +63,12 @@ GHOST_OPACITY, PLUME_OPACITY = 0.35, 0.85
 OVERHEAD = 0.82  # m, height of the wind's arrow above the centre of mass
 
 
-def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
+def wind_arrow(instant: Instant) -> Vector | None:
     """Return tail and tip of an arrow above the robot, (2, 3) [m]; `None` in still air."""
     speed = float(np.linalg.norm(instant.wind))
     if speed < 0.1:
         return None
-    half = 0.5 * scales.wind * instant.wind
+    half = 0.5 * SCALES["wind"] * instant.wind
     above = instant.com + np.array([0.0, 0.0, OVERHEAD])
     return np.stack([above - half, above + half])
 
@@ -167,7 +153,6 @@ class Scene(AbstractContextManager["Scene"]):
         self, recording: Recording, width: int, height: int, ghost: Recording | None = None, segments: int = 48
     ) -> None:
         self.recording, self.ghost, self.width, self.height = recording, ghost, width, height
-        self.scales = Scales()
         bows = np.linspace(-0.5, 0.5, segments // 2 + 1) * np.pi
         self.cylinder = revolve([(0.0, -0.5), (1.0, -0.5), (1.0, -0.5), (1.0, 0.5), (1.0, 0.5), (0.0, 0.5)], segments)
         self.cone = revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)], segments)
@@ -204,7 +189,7 @@ class Scene(AbstractContextManager["Scene"]):
                     yield Solid(mesh, position, stretch, ROLES[shape.role], has_shadow=has_shadow)
         now = self.recording.at(time)
         for jet, thrust in zip(self.recording.look.jets, now.thrust, strict=True):
-            length = self.scales.thrust * max(float(thrust), 0.0)
+            length = SCALES["thrust"] * max(float(thrust), 0.0)
             if length > 1e-3:
                 rotation = now.body_rotations[jet.body]
                 nozzle = now.body_positions[jet.body] + rotation @ jet.position
@@ -214,9 +199,9 @@ class Scene(AbstractContextManager["Scene"]):
     def arrows(self, time: float) -> Iterator[Solid]:
         """Yield the arrows of the links' aerodynamic forces and of the wind."""
         now = self.recording.at(time)
-        for ends in force_arrows(self.recording.look, now, self.scales):
+        for ends in force_arrows(self.recording.look, now):
             yield from self._arrow(ends, 0.0105, FORCE)
-        if (wind := wind_arrow(now, self.scales)) is not None:
+        if (wind := wind_arrow(now)) is not None:
             yield from self._arrow(wind, 0.03, WIND)
 
     def _arrow(self, ends: Vector, radius: float, colour: Colour) -> Iterator[Solid]:

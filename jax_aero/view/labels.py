@@ -14,7 +14,7 @@ from jax_aero.base.quantities import shown
 from jax_aero.base.result import UPRIGHT
 from jax_aero.body.urdf import Vector
 from jax_aero.view import drawing
-from jax_aero.view.drawing import Colour, Scales
+from jax_aero.view.drawing import Colour
 from jax_aero.view.recording import Instant, Recording
 
 SIGNALS = rust.signals()
@@ -34,7 +34,6 @@ def letter_video(
     pixels: Any,
     recording: Recording,
     time: float,
-    scales: Scales,
     pixels_per_metre: float,
     ghost: Recording | None = None,
     *,
@@ -63,7 +62,7 @@ def letter_video(
     ]
     for i, line in enumerate(lines):
         text(draw, (width - margin, margin + int(1.35 * i * size)), line, size, INK, anchor="ra")
-    legend(draw, (margin, height - 2 * margin), size, scales, pixels_per_metre)
+    legend(draw, (margin, height - 2 * margin), size, pixels_per_metre)
     flights = [recording] if ghost is None else [recording, ghost]
     for flight in flights:
         below += int(2.5 * size)
@@ -156,17 +155,15 @@ def text(
     )
 
 
-def legend(
-    draw: ImageDraw.ImageDraw, place: tuple[float, float], size: int, scales: Scales, pixels_per_metre: float
-) -> None:
+def legend(draw: ImageDraw.ImageDraw, place: tuple[float, float], size: int, pixels_per_metre: float) -> None:
     """Draw the legend of colours, upwards from the bottom line, with bars of the length of the named quantity."""
-    force = scales.reference_force
+    scales, force = drawing.SCALES, drawing.REFERENCE_FORCE
     rows: list[tuple[Colour, float, str]] = [
         (drawing.TRAIL, 0.2, "its path"),
         (drawing.REFERENCE, 0.2, "reference of the centre of mass"),
         (drawing.WIND, 0.2, "wind"),
-        (drawing.PLUME, scales.thrust * 100.0, "thrust 100 N"),
-        (drawing.FORCE, scales.force * force, f"aerodynamic force {force:g} N"),
+        (drawing.PLUME, scales["thrust"] * 100.0, "thrust 100 N"),
+        (drawing.FORCE, scales["force"] * force, f"aerodynamic force {force:g} N"),
     ]
     longest = max(length for _, length, _ in rows) * pixels_per_metre
     for i, (colour, length, words) in enumerate(rows):

@@ -15,7 +15,7 @@ import numpy as np
 from jax_aero.base.files import complete_file
 from jax_aero.base.terminal import Progress
 from jax_aero.view import Refused, check_out, require
-from jax_aero.view.drawing import Camera, Scales, Scene, Viewpoint, camera_at
+from jax_aero.view.drawing import Camera, Scene, Viewpoint, camera_at
 from jax_aero.view.recording import Recording
 
 HOLD = 1.5  # s for which the last picture stays, to read the outcome
@@ -144,7 +144,7 @@ def _single(scene: Scene, camera: Camera, time: float, end: float) -> Any:
     recording = scene.recording
     pixels, scale = scene.picture(time, camera), scene.pixels_per_metre(camera)
     ended = [flight for flight in (recording, scene.ghost) if flight is not None and time >= flight.duration]
-    return letter_video(pixels, recording, time, scene.scales, scale, scene.ghost, ended=ended, end=end)
+    return letter_video(pixels, recording, time, scale, scene.ghost, ended=ended, end=end)
 
 
 def _row(scenes: Sequence[Scene], bands: tuple[int, ...], cameras: Sequence[Camera], time: float, end: float) -> Any:
@@ -257,7 +257,7 @@ def write_snapshot(
         scale = scene.pixels_per_metre(camera)
     if is_single:
         end = recording.duration
-        pixels = letter_video(pictures[0], recording, chosen[0], scene.scales, scale, ended=[recording], end=end)
+        pixels = letter_video(pictures[0], recording, chosen[0], scale, ended=[recording], end=end)
     else:
         pixels = _strip(recording, chosen, pictures, size, top, letters, scale)
     with complete_file(out) as draft:
@@ -299,7 +299,7 @@ def _strip(
             draw.line((left, top, left, top + panel[1]), fill=labels.PAPER, width=max(letters // 6, 2))
     base = height - int(2.2 * letters)
     split = int(0.26 * width)
-    labels.legend(draw, (letters, base), letters, Scales(), scale)
+    labels.legend(draw, (letters, base), letters, scale)
     box = (split, top + panel[1] + int(1.6 * letters), width - 2 * letters, base)
     labels.profile(draw, box, recording, times, letters)
     return np.asarray(sheet)

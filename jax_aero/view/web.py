@@ -228,14 +228,13 @@ def is_own(own: str, hosts: Sequence[str]) -> bool:
 def look_table(look: Look, robot: rust.Robot) -> dict[str, Any]:
     """Return shapes, jets, links, names of parts, colours and scales as plain tables."""
     names = ("FORCE", "WIND", "REFERENCE", "TRAIL", "PLUME", "GHOST")
-    scales = drawing.Scales()
     return {
         "shapes": [_shape(shape) for shape in look.shapes],
         "jets": [_mount(mount) for mount in look.jets],
         "links": [_mount(mount) for mount in look.links],
         "labels": {dim: list(names) for dim, names in labels_of(robot).items()},
         "colours": {name.lower(): getattr(drawing, name) for name in names} | dict(drawing.ROLES),
-        "scales": {"force": scales.force, "thrust": scales.thrust, "wind": scales.wind},
+        "scales": drawing.SCALES,
         "plume_radius": drawing.PLUME_RADIUS,
         "overhead": drawing.OVERHEAD,
     }

@@ -8,8 +8,6 @@ from experiments import replay
 from jax_aero import rust
 from jax_aero.base import flights
 from jax_aero.base.quantities import shown_array
-from jax_aero.verify import Row
-from jax_aero.verify import cli as verify
 from paper_figs import panels, runs, style
 from paper_figs.command import main
 from paper_figs.figures import FIGURES
@@ -156,8 +154,6 @@ def test_figures_do_not_depend_on_the_settings_of_their_user(tmp_path):
     """Also those of commands outside this folder, which draw in this style."""
 
     def drawn(name):
-        rows = [Row("dynamics", "com_position", 1e-10, True, 1e-14, 1.0, 0.0, True)]
-        verify.draw(rows, tmp_path / f"{name}_verify.png")
         log = {"time": np.arange(3.0), "thrust": np.ones((3, 4))}
         replayed = log | {"thrust": np.zeros((3, 4))}
         differences = replay.compare(log, replayed)

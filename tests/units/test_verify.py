@@ -202,7 +202,6 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert [row["agrees"] for row in document["rows"]] == [True] * 3
     assert document["not reached"] == ["fall.com_error"]
     assert document["config"] == rust.config_digest(rust.load_config("test1"))[:12]
-    assert (tmp_path / "verify.png").stat().st_size > 0
     assert "config: " in (tmp_path / "verify.md").read_text()
 
     size["tick"] = 10.0

@@ -108,17 +108,16 @@ def test_every_primitive_of_the_urdf_is_drawn(path):
 
 
 def test_arrows_are_as_long_as_the_legend_says(seen):
-    now, scales = seen.at(18.0), drawing.Scales(force=0.2)
-    ends = drawing.force_arrows(look_of(seen.robot, seen.robot_path), now, scales)
+    now = seen.at(18.0)
+    ends = drawing.force_arrows(look_of(seen.robot, seen.robot_path), now)
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    np.testing.assert_allclose(lengths, 0.2 * np.linalg.norm(now.aero_force, axis=1), atol=1e-12)
+    np.testing.assert_allclose(lengths, 0.15 * np.linalg.norm(now.aero_force, axis=1), atol=1e-12)
     assert lengths.max() > 0.1
-    assert drawing.Scales(force=0.15).reference_force == 2.0
-    assert 0.3 < 160.0 * drawing.Scales().thrust < 1.0  # the jet of the strongest thrust, beside a robot of 1 m
-    arrow = drawing.wind_arrow(now, scales)
+    assert 0.3 < 160.0 * drawing.SCALES["thrust"] < 1.0  # the jet of the strongest thrust, beside a robot of 1 m
+    arrow = drawing.wind_arrow(now)
     assert arrow is not None
     np.testing.assert_allclose(arrow[1] - arrow[0], [0.0, -0.8, 0.0], atol=1e-12)
-    assert drawing.wind_arrow(seen.at(0.0), scales) is None
+    assert drawing.wind_arrow(seen.at(0.0)) is None
 
 
 @pytest.mark.parametrize(
@@ -166,9 +165,7 @@ def test_a_frame_says_what_flies_and_whose_ghost(seen, monkeypatch):
     words = []
     monkeypatch.setattr(labels, "text", lambda _, __, text, *___, **____: words.append(text))
     ghost = replace(seen, title="another")
-    labels.letter_video(
-        np.zeros((340, 600, 3), np.uint8), seen, 18.0, drawing.Scales(), 100.0, ghost, ended=[], end=20.0
-    )
+    labels.letter_video(np.zeros((340, 600, 3), np.uint8), seen, 18.0, 100.0, ghost, ended=[], end=20.0)
     assert words[:3] == [seen.title, "ghost: another", "18.0 s"]
 
 
