@@ -22,28 +22,10 @@ class Pchip:
 
 
 def pchip(x: Float[Array, " k"], y: Float[Array, " k"]) -> Pchip:
-    """Return the interpolant of a table with k ≥ 3 points.
+    """Return the interpolant of a table."""
+    from scipy.interpolate import PchipInterpolator  # SciPy is loaded only when needed
 
-    Interior slopes are the weighted harmonic mean of the neighbouring secants, or zero where these change sign; end
-    slopes follow the three-point formula, limited to prevent overshoot.
-    """
-    x, y = jnp.asarray(x), jnp.asarray(y)
-    h = jnp.diff(x)
-    secant = jnp.diff(y) / h
-    left, right = secant[:-1], secant[1:]
-    w_left, w_right = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]
-    agree = left * right > 0.0
-    mean = (w_left + w_right) / (w_left / jnp.where(agree, left, 1.0) + w_right / jnp.where(agree, right, 1.0))
-    first = _end_slope(h[0], h[1], secant[0], secant[1])
-    last = _end_slope(h[-1], h[-2], secant[-1], secant[-2])
-    return Pchip(x, y, jnp.concatenate([first[None], jnp.where(agree, mean, 0.0), last[None]]))
-
-
-def _end_slope(h_near: Array, h_next: Array, near: Array, following: Array) -> Array:
-    """Three-point slope at an end, limited to the sign and to three times the value of the nearest secant."""
-    slope = ((2.0 * h_near + h_next) * near - h_near * following) / (h_near + h_next)
-    limited = jnp.where((near * following < 0.0) & (jnp.abs(slope) > 3.0 * jnp.abs(near)), 3.0 * near, slope)
-    return jnp.where(slope * near <= 0.0, 0.0, limited)
+    return Pchip(*map(jnp.asarray, (x, y, PchipInterpolator(x, y).derivative()(x))))
 
 
 def interpolate(table: Pchip, x: Float[Array, " *batch"]) -> Float[Array, " *batch"]:
