@@ -14,7 +14,7 @@ from jax_aero.base import places
 HEAD = '''"""Types of a flight's configuration, as `make generated` writes them; `configs/schema` describes every key.
 
 A list is a tuple, and a table of several kinds the union of a type for each: `AeroConfig` with `model = "off"` is an
-`OffAeroConfig`. `jax_aero.base.typed` fills them.
+`OffAeroConfig`. Tables that the crate alone reads are plain. `jax_aero.base.typed` fills them.
 
 >>> FilterConfig(delay=0.02)
 FilterConfig(delay=0.02, time_constant=0.0)
@@ -22,10 +22,16 @@ FilterConfig(delay=0.02, time_constant=0.0)
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from msgspec import Struct, field
 '''
+PLAIN = {
+    "ChannelsConfig", "ContactConfig", "EnginesConfig", "FuelConfig", "GroundConfig", "JointFault", "JointsConfig",
+    "LatencyDetectorConfig", "MotorsConfig", "NonlinearConfig", "Outage", "OwnController", "Push", "QpConfig",
+    "ShaftConfig", "TrackingErrorConfig", "WindEstimateConfig",
+}  # fmt: skip
+"""Tables that the crate alone reads: JAX knows at most whether they are given."""
 SCALARS = {"number": "float", "integer": "int", "string": "str", "boolean": "bool", "null": "None"}
 
 
@@ -49,7 +55,7 @@ def files() -> dict[Path, str]:
 def _names(node: Any) -> Iterator[str]:
     """Yield the names of the definitions in a part of a schema."""
     if isinstance(node, dict):
-        if "$ref" in node:
+        if "$ref" in node and name_of(node) not in PLAIN:
             yield name_of(node)
         node = [part for key, part in node.items() if key != "$defs"]
     if isinstance(node, list):
@@ -87,7 +93,7 @@ def _field(key: str, node: Node, is_required: bool, tables: Mapping[str, Node]) 
 
 def _type(node: Node) -> str:
     if "$ref" in node:
-        return name_of(node)
+        return "dict[str, Any]" if name_of(node) in PLAIN else name_of(node)
     if "anyOf" in node:
         return " | ".join(map(_type, node["anyOf"]))
     kind = node["type"]
@@ -102,6 +108,8 @@ def _type(node: Node) -> str:
 def _value(node: Node, value: Any, tables: Mapping[str, Node]) -> str:
     """Return a default as Python."""
     if isinstance(value, Mapping) and "$ref" in node:
+        if name_of(node) in PLAIN:
+            return "{}"
         keys = tables[_type(node)]["properties"].items()
         other = {key: part for key, part in keys if key in value and value[key] != part.get("default")}
         given = [f"{key}={_value(part, value[key], tables)}" for key, part in other.items()]

@@ -1,7 +1,7 @@
 """Types of a flight's configuration, as `make generated` writes them; `configs/schema` describes every key.
 
 A list is a tuple, and a table of several kinds the union of a type for each: `AeroConfig` with `model = "off"` is an
-`OffAeroConfig`. `jax_aero.base.typed` fills them.
+`OffAeroConfig`. Tables that the crate alone reads are plain. `jax_aero.base.typed` fills them.
 
 >>> FilterConfig(delay=0.02)
 FilterConfig(delay=0.02, time_constant=0.0)
@@ -9,7 +9,7 @@ FilterConfig(delay=0.02, time_constant=0.0)
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from msgspec import Struct, field
 
@@ -74,51 +74,6 @@ class BoundsConfig(Struct, frozen=True, kw_only=True):
     thrust_steepness: float
 
 
-class Jumps(Struct, frozen=True, kw_only=True):
-    angular_velocity: float = 2.0
-    joint_position: float = 0.5
-    joint_velocity: float = 30.0
-    position: float = 0.3
-    rotation: float = 0.2
-    velocity: float = 1.0
-    wind: float = 5.0
-
-
-class ChannelsConfig(Struct, frozen=True, kw_only=True):
-    descend_after: float = 3.0
-    jump: Jumps | None = None
-    wind_hold: float = 1.0
-
-
-class LoadTransfer(Struct, frozen=True, kw_only=True):
-    gain: float
-    height: float
-    hold_time: float
-    measured_gain: float
-    unmodelled_force_max: float | None = None
-
-
-class WrenchLimits(Struct, frozen=True, kw_only=True):
-    centre_of_pressure_margin: float = 0.0
-    friction: float
-    torsional_friction: float
-    vertical_force_min: float
-
-
-class ContactConfig(Struct, frozen=True, kw_only=True):
-    feet: tuple[str, ...]
-    force_rate_dead_zone: float
-    force_rate_max: float
-    load_transfer: LoadTransfer | None = None
-    start_with_moment: bool
-    vertical_force_min: float
-    weight_foot_acceleration: float
-    weight_foot_velocity: float
-    weight_force: float
-    weight_force_rate: float
-    wrench: WrenchLimits
-
-
 class DisturbanceObserverConfig(Struct, frozen=True, kw_only=True):
     force_max: float
     gain_force: float
@@ -149,54 +104,11 @@ class EstimatorConfig(Struct, frozen=True, kw_only=True):
     thrust: FilterConfig = FilterConfig()
 
 
-class MomentumGains(Struct, frozen=True, kw_only=True):
-    c0: float
-    c1: float
-    kd_linear: tuple[float, float, float]
-    ko: float
-    kp_linear: tuple[float, float, float]
-
-
-class DescentConfig(Struct, frozen=True, kw_only=True):
-    joint_velocity_max_deg: float
-    momentum: MomentumGains
-    range_fraction_min: float
-    torque_rate_max: float
-
-
-class EnginesConfig(Struct, frozen=True, kw_only=True):
-    confirmation: float
-    descent: DescentConfig | None = None
-    deviation_max: float
-    time_constant: float
-
-
-class JointsConfig(Struct, frozen=True, kw_only=True):
-    confirmation: float
-    displacement_min: float
-    effectiveness_max: float
-    torque_min: float
-
-
-class LatencyDetectorConfig(Struct, frozen=True, kw_only=True):
-    confirmation: float
-    thrust_max: float
-    torque_max: float
-
-
-class TrackingErrorConfig(Struct, frozen=True, kw_only=True):
-    confirmation: float
-    horizon: float
-    joint_velocity: float
-    position: float
-    rotation: float
-
-
 class FaultDetectionConfig(Struct, frozen=True, kw_only=True):
-    engines: EnginesConfig | None = None
-    joints: JointsConfig | None = None
-    latency: LatencyDetectorConfig | None = None
-    tracking_error: TrackingErrorConfig | None = None
+    engines: dict[str, Any] | None = None
+    joints: dict[str, Any] | None = None
+    latency: dict[str, Any] | None = None
+    tracking_error: dict[str, Any] | None = None
 
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
 
@@ -205,6 +117,14 @@ JetDynamics: TypeAlias = Literal["ideal", "throttled"]
 LeverArm: TypeAlias = Literal["rotated", "unrotated"]
 
 LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
+
+
+class MomentumGains(Struct, frozen=True, kw_only=True):
+    c0: float
+    c1: float
+    kd_linear: tuple[float, float, float]
+    ko: float
+    kp_linear: tuple[float, float, float]
 
 Air: TypeAlias = Literal["linear", "constant"]
 
@@ -232,19 +152,6 @@ class MpcWeights(Struct, frozen=True, kw_only=True):
     velocity: tuple[float, float, float]
 
 
-class NonlinearConfig(Struct, frozen=True, kw_only=True):
-    angular_velocity: float
-    clearance: float
-    joint_velocity: float
-    knots: tuple[float, ...]
-    lean: float
-    linear_beyond: float
-    posture: float
-    tail: float
-    thrust_rate: float
-    velocity: tuple[float, float, float]
-
-
 class MpcConfig(Struct, frozen=True, kw_only=True):
     air: Air = "linear"
     clearance: ClearanceConfig | None = None
@@ -254,7 +161,7 @@ class MpcConfig(Struct, frozen=True, kw_only=True):
     joint_groups: tuple[str, ...]
     joint_knots: tuple[int, ...]
     knots: tuple[float, ...]
-    nonlinear_descent: NonlinearConfig | None = None
+    nonlinear_descent: dict[str, Any] | None = None
     period: float
     posture_gain: float
     thrust_excess: float
@@ -263,12 +170,6 @@ class MpcConfig(Struct, frozen=True, kw_only=True):
 
 class PolicyConfig(Struct, frozen=True, kw_only=True):
     card: str
-
-Solver: TypeAlias = Literal["active_set", "clarabel"]
-
-
-class QpConfig(Struct, frozen=True, kw_only=True):
-    solver: Solver = "active_set"
 
 
 class SetpointConfig(Struct, frozen=True, kw_only=True):
@@ -283,17 +184,6 @@ class SetpointConfig(Struct, frozen=True, kw_only=True):
     speed: tuple[float, float]
     turbo_boost: float
     turbo_rate: float
-
-
-class ShaftConfig(Struct, frozen=True, kw_only=True):
-    accelerations: tuple[float, float]
-    density: float = 1.225
-    exponent: float
-    idle: float
-    lags: tuple[float, float]
-    ramps: tuple[float, float]
-    square_share: float
-    temperature: float = 288.15
 
 
 class TorqueConfig(Struct, frozen=True, kw_only=True):
@@ -325,8 +215,8 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     aero_feedback: AeroFeedback = AeroFeedback()
     axes_of: str | None = None
     bounds: BoundsConfig
-    channels: ChannelsConfig = ChannelsConfig()
-    contact: ContactConfig | None = None
+    channels: dict[str, Any] = {}
+    contact: dict[str, Any] | None = None
     disturbance_observer: DisturbanceObserverConfig | None = None
     estimator: EstimatorConfig | None = None
     fault_detection: FaultDetectionConfig = FaultDetectionConfig()
@@ -338,9 +228,9 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     mpc: MpcConfig | None = None
     policy: PolicyConfig | None = None
     posture_gain: dict[str, float]
-    qp: QpConfig = QpConfig()
+    qp: dict[str, Any] = {}
     setpoint: SetpointConfig
-    shaft: ShaftConfig | None = None
+    shaft: dict[str, Any] | None = None
     time_step: float
     torque: TorqueConfig
     use_jets: bool = True
@@ -414,14 +304,6 @@ class JetFaultsConfig(Struct, frozen=True, kw_only=True):
     measurement_noise: MeasurementNoise | None = None
     thrust_limit_scale: float | None = None
 
-JointFaultKind: TypeAlias = Literal["stuck", "weak", "free"]
-
-
-class JointFault(Struct, frozen=True, kw_only=True):
-    joint: str
-    kind: JointFaultKind
-    start: float
-
 
 class ModelError(Struct, frozen=True, kw_only=True):
     com_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -430,47 +312,17 @@ class ModelError(Struct, frozen=True, kw_only=True):
     of_plant: bool | None = None
     thrust_axes: tuple[tuple[float, float, float], ...] = ()
 
-OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity"]
-
-OutageKind: TypeAlias = Literal["missing", "nan", "frozen", "wrong"]
-
-
-class Outage(Struct, frozen=True, kw_only=True):
-    channel: OutageChannel
-    duration: float | None = None
-    error: float = 1.0
-    jet: str | None = None
-    kind: OutageKind
-    start: float
-
-
-class Push(Struct, frozen=True, kw_only=True):
-    body: str
-    duration: float
-    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    start: float
-
-
-class WindEstimateConfig(Struct, frozen=True, kw_only=True):
-    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    delay: float = 0.0
-    mean_only: bool = False
-    noise_std: float = 0.0
-    seed: int = 0
-    time_constant: float = 0.0
-
 
 class Disturbances(Struct, frozen=True, kw_only=True):
     aero: ForceFactorsConfig = ForceFactorsConfig()
     aero_estimate: ForceFactorsConfig = ForceFactorsConfig()
     controller_wind: WindConfig | None = None
     jets: JetFaultsConfig = JetFaultsConfig()
-    joints: tuple[JointFault, ...] = ()
+    joints: tuple[dict[str, Any], ...] = ()
     model_error: ModelError = ModelError()
-    outages: tuple[Outage, ...] = ()
-    pushes: tuple[Push, ...] = ()
-    wind_estimate: WindEstimateConfig | None = None
+    outages: tuple[dict[str, Any], ...] = ()
+    pushes: tuple[dict[str, Any], ...] = ()
+    wind_estimate: dict[str, Any] | None = None
 
 
 class MissionConfig(Struct, frozen=True, kw_only=True):
@@ -481,11 +333,6 @@ class MissionConfig(Struct, frozen=True, kw_only=True):
     pitch_up: tuple[tuple[float, float], ...] = ()
     up: tuple[tuple[float, float], ...] = ()
     yaw_left: tuple[tuple[float, float], ...] = ()
-
-
-class OwnController(Struct, frozen=True, kw_only=True):
-    file: str
-    name: str
 
 
 class ActuationConfig(Struct, frozen=True, kw_only=True):
@@ -501,25 +348,6 @@ DynamicsBackend: TypeAlias = Literal["tree", "mjx"]
 class FallConfig(Struct, frozen=True, kw_only=True):
     com_error: float
     rotation_error_deg: float
-
-
-class FuelConfig(Struct, frozen=True, kw_only=True):
-    body: str
-    by_thrust: float
-    idle: float
-    mass: float
-    position: tuple[float, float, float]
-
-
-class LegOdometryConfig(Struct, frozen=True, kw_only=True):
-    velocity_time_constant: float
-
-
-class GroundConfig(Struct, frozen=True, kw_only=True):
-    contact_time: float
-    friction: float
-    leg_odometry: LegOdometryConfig | None = None
-    settling: float
 
 
 class InitialConfig(Struct, frozen=True, kw_only=True):
@@ -548,7 +376,7 @@ class ThrottledJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics
     ekf: EkfConfig = EkfConfig()
     engines: tuple[str, ...] | None = None
     feedback: ThrustFeedback = "measured"
-    shaft: ShaftConfig | None = None
+    shaft: dict[str, Any] | None = None
 
 
 class MeasuredJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="measured"):
@@ -560,21 +388,6 @@ class MeasuredJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics"
 JetsConfig: TypeAlias = IdealJetsConfig | ThrottledJetsConfig | MeasuredJetsConfig
 
 AeroKinematics: TypeAlias = Literal["current", "frozen"]
-
-
-class ElasticityConfig(Struct, frozen=True, kw_only=True):
-    damping: float
-    stiffness: float
-
-
-class MotorsConfig(Struct, frozen=True, kw_only=True):
-    damping: float
-    elasticity: ElasticityConfig | None = None
-    friction: float
-    friction_of: dict[str, float] = {}
-    inertia: float
-    load_friction: dict[str, float] = {}
-    time_constant: float = 0.0
 
 
 class SensorConfig(Struct, frozen=True, kw_only=True):
@@ -622,15 +435,15 @@ class SimulatorConfig(Struct, frozen=True, kw_only=True):
     duration: float
     dynamics: DynamicsBackend = "tree"
     fall: FallConfig
-    fuel: FuelConfig | None = None
-    ground: GroundConfig | None = None
+    fuel: dict[str, Any] | None = None
+    ground: dict[str, Any] | None = None
     initial: InitialConfig
     integrator: Integrator = "semi_implicit_euler"
     jets: JetsConfig
     joint_stops: bool = True
     kinematics: AeroKinematics = "current"
     lever_arm: LeverArm = "rotated"
-    motors: MotorsConfig | None = None
+    motors: dict[str, Any] | None = None
     sensors: SensorsConfig | None = None
     substeps: int = 1
 
@@ -641,7 +454,7 @@ class ScenarioConfig(Struct, frozen=True, kw_only=True):
     description: str = ""
     disturbances: Disturbances = Disturbances()
     mission: MissionConfig
-    own_controller: OwnController | None = None
+    own_controller: dict[str, Any] | None = None
     robot: str
     simulator: SimulatorConfig
     title: str = ""
