@@ -39,12 +39,9 @@ class WeightedModel:
         return self.links[:, None] * (self.drag * along + self.normal * (forces - along))
 
 
-def weight_forces(model: AeroModel, factors: ForceFactorsConfig, robot: RobotModel, table: str) -> AeroModel:
-    """Return the model with factors on its forces, or the model itself without any; errors name the `table`."""
+def weight_forces(model: AeroModel, factors: ForceFactorsConfig, robot: RobotModel) -> AeroModel:
+    """Return the model with factors on its forces, or the model itself without any."""
     if factors == ForceFactorsConfig():
         return model
-    names = robot.aero_links.names
-    if unknown := set(factors.links) - set(names):
-        raise ValueError(f"{table}.links names {sorted(unknown)}; {robot.name} has {', '.join(names)}")
-    by_link = factors.scale * leaf([factors.links.get(name, 1.0) for name in names])
+    by_link = factors.scale * leaf([factors.links.get(name, 1.0) for name in robot.aero_links.names])
     return WeightedModel(model, leaf(factors.drag), leaf(factors.normal), by_link)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.body.robot import ENGINE_KEYS, RobotModel
-from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, ShaftConfig, ThrottledJetsConfig
+from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, ThrottledJetsConfig
 from jax_aero.types import Array, leaf, pytree, static
 
 MIN_INPUT_GAIN = 1e-9
@@ -193,17 +193,11 @@ def _not_below(least: Array, thrust: Array, thrust_rate: Array) -> tuple[Array, 
 
 
 def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
-    """Return the configured jet dynamics.
-
-    Raises
-    ------
-    ValueError
-        For an engine that the robot's file does not define.
-    """
+    """Return the configured jet dynamics, and refuse those that JAX does not have."""
     match settings:
         case IdealJetsConfig():
             return IdealJets(robot.jets.thrust_min)
-        case ThrottledJetsConfig(shaft=ShaftConfig()):
+        case ThrottledJetsConfig(shaft=dict()):
             raise ValueError("`simulator.jets.shaft` is given; expected none: JAX's plant has no shafts")
         case ThrottledJetsConfig():
             return SecondOrderJets(
@@ -221,16 +215,7 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
 
 
 def engines(robot: RobotModel, names: Sequence[str]) -> Engines:
-    """Return the engines with these names, one for each jet.
-
-    Raises
-    ------
-    ValueError
-        For an engine that the robot's file does not define.
-    """
-    if unknown := set(names) - set(robot.engines):
-        known = ", ".join(sorted(robot.engines))
-        raise ValueError(f"engines {sorted(unknown)} are unknown; {robot.name} has {known}")
+    """Return the engines with these names, one for each jet."""
     coefficients = jnp.reshape(jnp.asarray([robot.engines[name] for name in names]), (-1, len(ENGINE_KEYS)))
     return Engines(*coefficients.T)
 

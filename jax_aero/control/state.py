@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float
 
 from jax_aero.control.estimate.disturbance_observer import ObserverState
 from jax_aero.control.estimate.estimator import EstimatorState
-from jax_aero.control.estimate.wind_observer import WindState
 from jax_aero.control.law.plan import Plan
 from jax_aero.control.law.setpoint import SetpointState
 from jax_aero.control.qp import WarmStart
@@ -35,8 +34,6 @@ class ControllerState(NamedTuple):
     """Starting point of the torque QP."""
     estimator: EstimatorState | None
     """State of the estimator; `None` without one."""
-    wind: WindState | None
-    """Estimated wind of the next tick; `None` without a wind observer."""
     observer: ObserverState | None
     """Observed wrench and what the next tick is compared with; `None` without an observer."""
     plan: Plan | None

@@ -23,8 +23,6 @@ class Terms(NamedTuple):
 
     estimates: Measurement
     """Output of the estimators; without estimators the measurement."""
-    wind_std: Float[Array, "3"]
-    """Standard deviation of the wind in `estimates` [m/s]; zero without a wind observer."""
     kinematics: Kinematics
     dynamics: Dynamics
     inverse_mass: InverseMass

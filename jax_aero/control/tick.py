@@ -28,7 +28,7 @@ from jax_aero.body.spatial import multiply
 from jax_aero.config import RateFeedback, ScenarioConfig
 from jax_aero.control import qp
 from jax_aero.control.command import Command
-from jax_aero.control.estimate import disturbance_observer, estimator, wind_observer
+from jax_aero.control.estimate import disturbance_observer, estimator
 from jax_aero.control.estimate.disturbance_observer import ObserverGains
 from jax_aero.control.estimate.estimator import Estimator, Order
 from jax_aero.control.law import setpoint as generator
@@ -68,8 +68,6 @@ class Switches(NamedTuple):
     """Time until torques act [s]."""
     lead: int
     """Whole ticks of that."""
-    estimates_wind: bool
-    """Whether the wind observer's wind replaces the measured one."""
 
 
 @pytree
@@ -153,12 +151,12 @@ def momentum_controller(
     """Return the controller of a robot as configured. Call it outside loops, since it computes interpolation tables.
 
     `robot` is the controller's model of the robot; `tasks` are user-defined objectives, added to the controller's own.
-    What watches for failures is left out; see `jax_aero.sim.prepare`.
+    What watches for failures, and the observer of the wind, are left out; see `jax_aero.sim.prepare`.
 
     Raises
     ------
     ValueError
-        If the configuration does not fit the robot, or is that of feet; the message names the key.
+        If the configuration is that of feet, or of another axis than each link's own; the message names the key.
     """
     controller, time_step = config.controller, leaf(config.controller.time_step)
     if controller.contact is not None or not controller.use_jets:
@@ -177,12 +175,11 @@ def momentum_controller(
             symmetric_pairs=symmetric_pairs(controller, robot),
             latency=0.0 if estimates is None else estimates.latency.torque,
             lead=0 if estimates is None else estimator.latency_in_ticks(estimates.latency, float(time_step))[0],
-            estimates_wind=controller.wind_observer,
         ),
-        aero=weight_forces(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
+        aero=weight_forces(aero, config.disturbances.aero_estimate, robot),
         rate_feedback=_components(feedback.momentum_rate),
         momentum=leaves(MomentumGains, controller.momentum),
-        tasks=task_params(controller, robot, config.controller.time_step),
+        tasks=task_params(controller, robot),
         other_tasks=tasks,
         torque=leaves(TorqueParams, controller.torque),
         torque_max=choose_limits(robot.joint_torque_max, controller.torque.torque_max, robot),
@@ -222,7 +219,6 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         momentum_start=qp.cold_start(jets + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
         estimator=None if params.estimator is None else estimator.start(params.estimator, state, jets),
-        wind=wind_observer.start(zeros) if params.switches.estimates_wind else None,
         observer=None if params.observer is None else disturbance_observer.start(zeros),
         plan=None if params.mpc is None else no_plan(params.mpc.structure.unknowns(jets), jets, zeros.dtype),
         residual=None if params.residual is None else disturbance_observer.start(zeros),
@@ -245,16 +241,14 @@ def tick(
     `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. A given `setpoint` replaces the mission. `preview` is what is
     known of the future.
 
-    The estimator, if configured, uses the measured state and thrusts; the wind observer, if configured, replaces the
-    measured wind by its estimate from the previous ticks. Every number of a measurement has to be finite.
+    The estimator, if configured, uses the measured state and thrusts. Every number of a measurement has to be finite.
     """
     measurement = Measurement(time, state, thrust, wind, Preview() if preview is None else preview)
     with jax.default_matmul_precision("highest"):
-        memory, estimates, wind_std = _measure(params, robot, memory, measurement)
+        memory, estimates = _measure(params, robot, memory, measurement)
         memory, model = _observe(params, memory, params.model(robot, estimates))
         memory, command, terms = decide(params, robot, memory, estimates, model, setpoint)
-        terms = terms._replace(wind_std=wind_std)
-        return _predict(params, robot, memory, terms, command), command, terms
+        return _predict(memory, terms, command), command, terms
 
 
 def decide(
@@ -281,24 +275,20 @@ def decide(
         torque_qp=torque.answer,
         degraded_modes=rates.modes | jnp.where(torque.is_solved, 0, MODES["torque_held"]),
     )
-    exact = jnp.zeros_like(estimates.wind)
-    terms = Terms(estimates, exact, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, added)
+    terms = Terms(estimates, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, added)
     return memory, command, terms
 
 
 def _measure(
     params: MomentumController, robot: RobotModel, memory: ControllerState, measurement: Measurement
-) -> tuple[ControllerState, Measurement, Float[Array, "3"]]:
-    """Replace what is measured by what is estimated of it; return also the standard deviation of the wind [m/s]."""
-    wind_std = jnp.zeros_like(measurement.wind)
-    if memory.wind is not None:
-        measurement, wind_std = measurement._replace(wind=memory.wind.wind), memory.wind.std
+) -> tuple[ControllerState, Measurement]:
+    """Replace what is measured by what is estimated of it."""
     if params.estimator is not None and memory.estimator is not None:
         reading = Reading(measurement.state, measurement.thrust)
         estimating, reading = estimator.update(params.estimator, robot, params.aero, memory.estimator, reading)
         measurement = measurement._replace(state=reading.state, thrust=reading.thrust)
         memory = memory._replace(estimator=estimating)
-    return memory, measurement, wind_std
+    return memory, measurement
 
 
 def _observe(params: MomentumController, memory: ControllerState, model: Model) -> tuple[ControllerState, Model]:
@@ -311,19 +301,13 @@ def _observe(params: MomentumController, memory: ControllerState, model: Model) 
     return memory._replace(observer=observed), model
 
 
-def _predict(
-    params: MomentumController, robot: RobotModel, memory: ControllerState, terms: Terms, command: Command
-) -> ControllerState:
-    """Store what the next tick expects: the wind, and what the estimator's model does under the command."""
-    now, momentum = terms.estimates, terms.momentum
-    if memory.wind is not None:
-        seen = memory.wind, terms.kinematics, terms.dynamics.momentum, momentum.a_t, now.thrust
-        wind = wind_observer.update(robot, params.aero, params.time_step, *seen)
-        memory = memory._replace(wind=wind)
-    if memory.estimator is not None:
-        order = Order(command.joint_torque, command.thrust_rate, momentum.unmodelled_wrench, now.wind)
-        memory = memory._replace(estimator=estimator.command(memory.estimator, order))
-    return memory
+def _predict(memory: ControllerState, terms: Terms, command: Command) -> ControllerState:
+    """Store what the next tick expects: what the estimator's model does under the command."""
+    if memory.estimator is None:
+        return memory
+    unmodelled, wind = terms.momentum.unmodelled_wrench, terms.estimates.wind
+    order = Order(command.joint_torque, command.thrust_rate, unmodelled, wind)
+    return memory._replace(estimator=estimator.command(memory.estimator, order))
 
 
 def replace_command(

@@ -20,7 +20,6 @@ from jaxtyping import Float, Int
 from jax_aero import rust
 from jax_aero.config import ActuationConfig
 from jax_aero.control.measurement import Measurement
-from jax_aero.sim.disturbance import Disturbance
 from jax_aero.sim.plant import Acting
 from jax_aero.types import Array, pytree, static
 
@@ -31,18 +30,13 @@ LOST = -1
 
 
 @pytree
-class Actuation(Disturbance):
+class Actuation:
     """Delays of the commands of one flight."""
 
     lag: Int[Array, "ticks 2"]
     """Delay of thrust rates and torques of a tick [physics steps]; `LOST` if lost."""
     ticks: int = static()
     """Commands that can be on their way: ticks of the greatest delay plus one."""
-
-    @property
-    def depends_on(self) -> tuple[str, ...]:
-        """Return the length for which delays are drawn."""
-        return ("n_ticks",)
 
     def start(self, first: Measurement) -> ActuationState:
         """Return a way without commands."""
@@ -53,12 +47,7 @@ class Actuation(Disturbance):
 
         return ActuationState(line(first.thrust), line(first.state.joint_position), jnp.array(0, jnp.int32))
 
-    def act(
-        self,
-        state: ActuationState,
-        given: Acting,
-        step: Float[Array, ""],  # noqa: ARG002
-    ) -> tuple[ActuationState, Acting]:
+    def act(self, state: ActuationState, given: Acting) -> tuple[ActuationState, Acting]:
         """Let the command arrive that does; thrust rates act by their mean over the tick."""
         substeps = len(given.torques)
         way = send(self, state, given.thrust_rate, given.torques[0])

@@ -1,6 +1,6 @@
-"""Faults of jets: slow response, reduced thrust, a dead jet, a noisy sensor.
+"""Faults of jets: reduced thrust, a dead jet, a noisy sensor.
 
-    thrust rate command ──delayed──► jets ──limited──► thrust        thrust ──measured──► estimators
+    thrust rate command ──► jets ──limited──► thrust        thrust ──measured──► estimators
 
 They surround any jet dynamics. Faults are numbers, not structure, so flights with different faults share one
 compilation. That a jet's force differs from its thrust is `Plant.force_scale`.
@@ -30,8 +30,6 @@ class FaultState(NamedTuple):
 
     engine: Any
     """Additional state of the jets without faults."""
-    command: Float[Array, " j"]
-    """Thrust rates that reach the jets [N/s]."""
     left: Float[Array, ""]
     """Time until the failure [s]; negative after it."""
     held: Float[Array, ""]
@@ -46,14 +44,10 @@ class FaultyJets:
 
     jets: JetDynamics
     """The jets without faults."""
-    lag: Float[Array, ""]
-    """Time constant of the response [s]."""
     upper: Float[Array, " j"]
     """Greatest thrust [N]."""
     fails: Bool[Array, " j"]
     """Whether the jet is the failing one."""
-    is_stuck: Bool[Array, ""]
-    """Whether the failing jet keeps its thrust; otherwise the thrust decays."""
     failure_time: Float[Array, ""]
     """Time of the failure [s]."""
     decay: Float[Array, ""]
@@ -63,9 +57,9 @@ class FaultyJets:
 
     def start(self, thrust: Float[Array, " j"]) -> JetsState:
         """Return the state at `thrust` [N] with thrust rate zero."""
-        state, rest = self.jets.start(thrust), jnp.zeros_like(thrust)
+        state, held = self.jets.start(thrust), jnp.zeros_like(thrust[0])
         left, tick = jnp.asarray(self.failure_time), jnp.array(0, jnp.int32)
-        return state._replace(engine=FaultState(state.engine, rest, left, rest[0], tick))
+        return state._replace(engine=FaultState(state.engine, left, held, tick))
 
     def feedback(self, state: JetsState) -> Float[Array, " j"]:
         """Return the thrust that the flight controller receives [N]."""
@@ -80,30 +74,17 @@ class FaultyJets:
     ) -> JetsState:
         """Advance every jet by `dt` [s] under constant commanded thrust rates [N/s]."""
         faults: FaultState = state.engine
-        arriving = delay_rates(self, faults, command, dt)
         seen = measure_thrust(self, faults, state.thrust if measured is None else measured)
-        jets = self.jets.advance(state._replace(engine=faults.engine), arriving, dt, seen)
+        jets = self.jets.advance(state._replace(engine=faults.engine), command, dt, seen)
         thrust, thrust_rate, faults = limit_thrust(self, faults, jets.thrust, jets.thrust_rate, dt)
-        return JetsState(thrust, thrust_rate, faults._replace(engine=jets.engine, command=arriving))
+        return JetsState(thrust, thrust_rate, faults._replace(engine=jets.engine))
 
 
 def faulty_jets(
     jets: JetDynamics, settings: JetFaultsConfig, dynamics: JetsConfig, robot: RobotModel, n_ticks: int
 ) -> FaultyJets:
-    """Return jets with the faults of a flight of `n_ticks` ticks.
-
-    Raises
-    ------
-    ValueError
-        For a jet that the robot does not have, and for measurement noise without an estimator that uses it.
-    """
+    """Return jets with the faults of a flight of `n_ticks` ticks; the crate has checked them."""
     names, failure = robot.jets.names, settings.failure
-    if failure is not None and failure.jet not in names:
-        raise ValueError(f"disturbances.jets.failure.jet is `{failure.jet}`; {robot.name} has {', '.join(names)}")
-    for name in settings.force_scale.keys() - set(names):
-        raise ValueError(f"disturbances.jets.force_scale has `{name}`; {robot.name} has {', '.join(names)}")
-    if settings.measurement_noise is not None and isinstance(dynamics, IdealJetsConfig):
-        raise ValueError("disturbances.jets.measurement_noise disturbs estimators; jets of dynamics `ideal` have none")
     thrust_max, zero = jnp.asarray(robot.jets.thrust_max), jnp.zeros(())
     scale = settings.thrust_limit_scale
     drawn: Array | None = None
@@ -111,10 +92,8 @@ def faulty_jets(
         drawn = _sensor_noise(settings, n_ticks, len(names))
     return FaultyJets(
         jets=jets,
-        lag=leaf(settings.lag),
         upper=jnp.full(thrust_max.shape, np.inf) if scale is None else scale * thrust_max,
         fails=jnp.array([failure is not None and name == failure.jet for name in names]),
-        is_stuck=jnp.array(failure is not None and failure.kind == "stuck"),
         failure_time=zero if failure is None else leaf(failure.time),
         decay=zero if failure is None else leaf(failure.decay),
         sensor_noise=drawn,
@@ -128,15 +107,6 @@ def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
         return jnp.zeros((n_ticks + 1, jets))
     drawn = rust.normals(found.seed, MEASUREMENT_STREAM, (n_ticks + 1) * jets)
     return jnp.asarray(found.std) * drawn.reshape(-1, jets)
-
-
-def delay_rates(
-    faults: FaultyJets, state: FaultState, command: Float[Array, " j"], dt: Float[Array, ""] | float
-) -> Float[Array, " j"]:
-    """Return the thrust rates [N/s] that reach the jets under these commands for the next `dt` [s]."""
-    has_lag = faults.lag > 0.0
-    share = -jnp.expm1(-dt / jnp.where(has_lag, faults.lag, 1.0))
-    return jnp.where(has_lag, state.command + (command - state.command) * share, command)
 
 
 def measure_thrust(faults: FaultyJets, state: FaultState, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
@@ -168,8 +138,6 @@ def limit_thrust(
     decays = faults.decay > 0.0
     tau = jnp.where(decays, faults.decay, 1.0)
     fading = jnp.where(decays, held * jnp.exp(jnp.minimum(left, 0.0) / tau), 0.0)
-    failed_thrust = jnp.where(faults.is_stuck, held, fading)
-    failed_rate = jnp.where(faults.is_stuck, 0.0, -fading / tau)
     is_dead = faults.fails & has_failed
     after = state._replace(left=left, held=held, tick=state.tick + 1)
-    return jnp.where(is_dead, failed_thrust, thrust), jnp.where(is_dead, failed_rate, rate), after
+    return jnp.where(is_dead, fading, thrust), jnp.where(is_dead, -fading / tau, rate), after

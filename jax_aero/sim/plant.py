@@ -1,11 +1,11 @@
 """The simulated flying robot: rigid bodies, thrusts and wind.
 
-    M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero + w_push − h(q, ν)
+    M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
 
 There is no ground, no joint friction and no motor inertia; joint stops act unless they are disabled. The integration is
 identical to the Rust crate's.
 
-Equations M78, M79, M87, M140 and M155 of `docs/model`.
+Equations M78, M79, M87 and M140 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -30,12 +30,11 @@ from jax_aero.aero import (
 from jax_aero.aero.network_card import load_network
 from jax_aero.body.dynamics import accelerate, add_joint_inertia, dynamics, invert_mass
 from jax_aero.body.jets import JetDynamics, JetsState, jet_dynamics
-from jax_aero.body.kinematics import generalised_force, generalised_thrust, kinematics, move
+from jax_aero.body.kinematics import generalised_thrust, kinematics, move
 from jax_aero.body.robot import RobotModel
-from jax_aero.body.spatial import rotate, rotation_from_rpy
+from jax_aero.body.spatial import rotation_from_rpy
 from jax_aero.config import (
     DynamicsBackend,
-    InitialConfig,
     Integrator,
     JetFaultsConfig,
     LeverArm,
@@ -107,16 +106,6 @@ class PlantState(NamedTuple):
     """State of the first tick, in which links are frozen for the aerodynamics (published); `None` if they move."""
 
 
-class Wrenches(NamedTuple):
-    """Forces and moments on bodies, at their centres of mass, in the `s` sub-steps of a tick; inertial axes."""
-
-    bodies: tuple[int, ...]
-    forces: Float[Array, "s p 3"]
-    """[N]."""
-    moments: Float[Array, "s p 3"]
-    """[N m]."""
-
-
 class Acting(NamedTuple):
     """What acts on the plant in a tick."""
 
@@ -124,7 +113,6 @@ class Acting(NamedTuple):
     """Thrust rates that reach the jets [N/s]."""
     torques: tuple[Float[Array, " n"], ...]
     """Joint torques of each sub-step [N m]."""
-    wrenches: tuple[Wrenches, ...] = ()
 
 
 class Observation(NamedTuple):
@@ -153,15 +141,9 @@ def start_plant(
     """Return a plant and its state at the first tick. Call it outside loops, since it draws noise.
 
     `aero` and `jets` replace the models of the configuration.
-
-    Raises
-    ------
-    ValueError
-        If the number of joints or jets differs from the robot's.
     """
     config, disturbances = scenario.simulator, scenario.disturbances
     initial = config.initial
-    _check(initial, robot)
     # A model without fields, such as an empty NamedTuple, counts as false.
     aero = aero_model(config.aero, robot, read_network) if aero is None else aero
     jets = jet_dynamics(config.jets, robot) if jets is None else jets
@@ -171,7 +153,7 @@ def start_plant(
         force_scale = leaf([disturbances.jets.force_scale.get(name, 1.0) for name in robot.jets.names])
     plant = Plant(
         robot=robot,
-        aero=weight_forces(aero, disturbances.aero, robot, "disturbances.aero"),
+        aero=weight_forces(aero, disturbances.aero, robot),
         jets=jets,
         force_scale=force_scale,
         time_step=leaf(scenario.controller.time_step),
@@ -193,15 +175,6 @@ def start_plant(
     first = state if config.kinematics == "frozen" else None
     begun = _start_jets(jets, leaf(initial.thrust))
     return plant, PlantState(state, begun, first)
-
-
-def _check(initial: InitialConfig, robot: RobotModel) -> None:
-    for name, value, count in (
-        ("joint_position", initial.joint_position, robot.n_joints),
-        ("thrust", initial.thrust, robot.jets.count),
-    ):
-        if len(value) != count:
-            raise ValueError(f"`simulator.initial.{name}` has {len(value)} entries; {robot.name} needs {count}")
 
 
 def zero_state(state: PlantState) -> PlantState:
@@ -252,10 +225,6 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, acting: A
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
         + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), acting.torques[substep]])
     )
-    for bodies, forces, moments in acting.wrenches:
-        at = np.array(bodies, dtype=int)
-        points = rotate(kin.body_rotations[at], robot.coms[at]) + kin.body_positions[at]
-        force = force + generalised_force(robot, kin, bodies, points, forces[substep], moments[substep])
     return _step(plant, state.robot, seen.inverse_mass, force - seen.dynamics.bias, step)
 
 

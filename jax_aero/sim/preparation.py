@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -19,14 +20,15 @@ from jax_aero.config import ScenarioConfig
 from jax_aero.control import Controller
 from jax_aero.control.tick import momentum_controller
 from jax_aero.sim import plant as world
-from jax_aero.sim.disturbances import configured
+from jax_aero.sim.actuation import actuation
 from jax_aero.sim.model_error import controller_model
 from jax_aero.sim.outcome import FallLimits
 from jax_aero.sim.programs import keep_programs
 from jax_aero.sim.scenario import Scenario, convert_precision
+from jax_aero.sim.sensors import sensors
 from jax_aero.sim.step import FlightState, begin
 from jax_aero.sim.wind import wind_model
-from jax_aero.types import leaves
+from jax_aero.types import leaf, leaves
 
 _begin_once = world.run_once(begin)
 
@@ -46,8 +48,8 @@ def prepare(
     Fault detection is the crate's alone: `controller.channels`, `controller.fault_detection` and `mpc.descent` do
     nothing here, and a flight is the crate's as long as its signal `degraded_modes` has no mode but those of solvers.
     Refused by key, since the crate alone flies them (`backend = "rust"`), are outages, faulty joints, jets that fail or
-    do not reach their thrust if the controller has `fault_detection.engines`, fuel, ground, motors and torques of a
-    second rate.
+    do not reach their thrust if the controller has `fault_detection.engines`, jets that lag or keep their thrust, fuel,
+    ground, motors, pushes, errors of the measured wind, the observer of the wind and torques of a second rate.
 
     Parameters
     ----------
@@ -80,20 +82,21 @@ def prepare(
     config = read_config(config)
     if robot is None:
         robot = load_robot(config.robot)
+    elif Path(robot.source) != Path(config.robot).resolve():
+        raise ValueError(f"`robot` is that of {robot.source}; expected that of the configuration, {config.robot}")
     refuse(config)
-    wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
-    controller_wind = None if replaced is None else wind_model(replaced)
     plant, state = world.start_plant(config, robot, aero, jets, read_network)
-    model = controller_model(config, robot)
+    model, ticks, step = controller_model(config, robot), world.n_ticks(config), config.controller.time_step
+    sensing, way = config.simulator.sensors, config.simulator.actuation
     scenario = Scenario(
         plant=plant,
         controller=momentum_controller(config, model or robot, read_network) if controller is None else controller,
-        wind=wind,
+        wind=wind_model(config.wind),
         fall=leaves(FallLimits, config.simulator.fall),
         controller_model=model,
-        controller_wind=controller_wind,
-        disturbances=configured(config, robot, controller_wind or wind),
-        n_ticks=jnp.asarray(np.int32(world.n_ticks(config))),
+        sensors=None if sensing is None else sensors(sensing, leaf(step), ticks, robot.n_joints, robot.jets.count),
+        actuation=None if way is None else actuation(way, step, config.simulator.substeps, ticks),
+        n_ticks=jnp.asarray(np.int32(ticks)),
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))
@@ -112,7 +115,7 @@ def refuse(config: ScenarioConfig) -> None:
         raise ValueError("\n".join(f"`{key}` is {value}; expected {expected}" for key, value, expected in found))
 
 
-FLOWN = ("aero", "aero_estimate", "controller_wind", "jets", "model_error", "pushes", "wind_estimate")
+FLOWN = ("aero", "aero_estimate", "jets", "model_error")
 """Keys of `disturbances` that JAX flies; it refuses every other one that is given."""
 
 
@@ -135,11 +138,13 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
     if config.own_controller is not None:
         yield (
             "own_controller",
-            repr(config.own_controller.name),
+            repr(config.own_controller["name"]),
             f"none: JAX compiles its own (`sim.Controller`); {by_crate}",
         )
     if config.controller.torque.friction:
         yield "controller.torque.friction", "given", f"none: JAX has no drives; {by_crate}"
+    if config.controller.wind_observer:
+        yield "controller.wind_observer", "true", f"false: JAX has no observer of the wind; {by_crate}"
     if steps > 1:
         yield "controller.torque.steps", steps, f"1: JAX has no second rate of torques; {by_crate}"
     if config.controller.jet_dynamics != "ideal":
@@ -150,8 +155,14 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
         yield "disturbances.model_error", error, f"no inertia_scale, thrust_axes and of_plant; {by_crate}"
     jets, has_monitor = disturbances.jets, config.controller.fault_detection.engines is not None
     limited = jets.thrust_limit_scale is not None and not jets.limit_is_known
+    for key in disturbances.__struct_fields__:
+        if key not in FLOWN and getattr(disturbances, key):
+            yield f"disturbances.{key}", "given", f"none: JAX disturbs by {', '.join(FLOWN)}; {by_crate}"
+    if jets.lag:
+        yield "disturbances.jets.lag", jets.lag, f"0: JAX has no lag of thrust rates; {by_crate}"
+    if jets.failure is not None and jets.failure.kind == "stuck":
+        yield "disturbances.jets.failure.kind", '"stuck"', f'"off": JAX has no jet that keeps its thrust; {by_crate}'
     unanswered = {
-        **{key: getattr(disturbances, key) for key in disturbances.__struct_fields__ if key not in FLOWN},
         "jets.failure": has_monitor and jets.failure is not None,
         "jets.thrust_limit_scale": has_monitor and limited,
     }

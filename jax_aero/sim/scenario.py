@@ -11,11 +11,11 @@ from jaxtyping import Int
 
 from jax_aero.body.robot import RobotModel
 from jax_aero.control import Controller
-from jax_aero.sim.disturbance import Moment
-from jax_aero.sim.disturbances import Disturbances
+from jax_aero.sim.actuation import Actuation
 from jax_aero.sim.jet_faults import FaultyJets
 from jax_aero.sim.outcome import FallLimits
 from jax_aero.sim.plant import Plant
+from jax_aero.sim.sensors import Sensors
 from jax_aero.sim.wind import Wind
 from jax_aero.types import Array, pytree, static, with_dtype
 
@@ -27,8 +27,8 @@ class Scenario:
     """Everything that is constant in a flight. Every number is a leaf, for batches and derivatives.
 
     Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`. Some leaves
-    were computed from the time step; if noise is drawn, from the number of ticks; or, if its mean is measured, from the
-    wind: `replace_values` refuses changes of these. Limits are the controller's: torques are limited by
+    were computed from the time step, or, if noise is drawn, from the number of ticks: `replace_values` refuses changes
+    of these. Limits are the controller's: torques are limited by
     `controller.torque_max`, a copy of `plant.robot.joint_torque_max`. The state holds centre of mass and inertia of the
     initial robot: after changing them, call `begin` again.
     """
@@ -40,9 +40,10 @@ class Scenario:
     fall: FallLimits
     controller_model: RobotModel | None
     """The controller's model of the robot; `None` if it is the robot that flies."""
-    controller_wind: Wind | None
-    """Wind that the controller measures instead of the true one."""
-    disturbances: Disturbances
+    sensors: Sensors | None
+    """Errors of what is measured; `None` for none."""
+    actuation: Actuation | None
+    """Delays of commands; `None` for none."""
     n_ticks: Int[Array, ""]
     """Number of ticks after the one at time zero."""
     precision: str = static()
@@ -53,20 +54,11 @@ class Scenario:
         """The controller's model of the robot."""
         return self.plant.robot if self.controller_model is None else self.controller_model
 
-    def moment(self, tick: Int[Array, ""]) -> Moment:
-        """Return a tick, with its time and the winds."""
-        time = tick.astype(self.plant.time_step.dtype) * self.plant.time_step
-        measured = self.wind if self.controller_wind is None else self.controller_wind
-        return Moment(tick, time, self.plant.time_step, self.wind, measured)
-
     @property
     def computed_from(self) -> tuple[str, ...]:
-        """Return the length for which noise is drawn, and the wind whose mean is used."""
-        names = [name for _, disturbance in self.disturbances.each() for name in disturbance.depends_on]
-        if isinstance(self.plant.jets, FaultyJets) and self.plant.jets.sensor_noise is not None:
-            names.append("n_ticks")
-        is_other = {"measured_wind": "wind" if self.controller_wind is None else "controller_wind"}
-        return tuple(is_other.get(name, name) for name in names)
+        """Return the length for which noise is drawn, if it is."""
+        jets_are_noisy = isinstance(self.plant.jets, FaultyJets) and self.plant.jets.sensor_noise is not None
+        return ("n_ticks",) if jets_are_noisy or self.sensors is not None or self.actuation is not None else ()
 
 
 def convert_precision(scenario: Scenario, state: T, dtype: Any) -> tuple[Scenario, T]:

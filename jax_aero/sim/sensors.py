@@ -25,15 +25,14 @@ from jax_aero.body.spatial import exp_so3, multiply
 from jax_aero.config import SensorsConfig
 from jax_aero.control.measurement import Measurement, Reading
 from jax_aero.control.preview import Preview
-from jax_aero.sim.disturbance import Disturbance, Moment
-from jax_aero.sim.wind import wind_velocity
+from jax_aero.sim.wind import Wind, wind_velocity
 from jax_aero.types import Array, State, join, leaf, pytree, static
 
 STREAM = 2
 
 
 @pytree
-class Sensors(Disturbance):
+class Sensors:
     """Errors of the sensors in one flight."""
 
     bias: Float[Array, "4 3"]
@@ -67,22 +66,19 @@ class Sensors(Disturbance):
     line: int = static()
     """Length of the delay line: greatest age plus one [ticks]."""
 
-    @property
-    def depends_on(self) -> tuple[str, ...]:
-        """Return the length for which noise is drawn."""
-        return ("n_ticks",)
-
     def start(self, first: Measurement) -> SensorState:
         """Return sensors whose delay lines are filled with the first state and thrusts."""
         reading = Reading(first.state, first.thrust)
         return SensorState(jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * self.line), reading), reading)
 
-    def measure(self, state: SensorState, given: Measurement, moment: Moment) -> tuple[SensorState, Measurement]:
-        """Measure state and thrusts, and look at the wind ahead."""
-        state, said = read(self, state, Reading(given.state, given.thrust), moment.tick)
-        measured = given._replace(state=said.state, thrust=said.thrust)
+    def measure(
+        self, state: SensorState, true: Measurement, tick: Int[Array, ""], wind: Wind
+    ) -> tuple[SensorState, Measurement]:
+        """Measure state and thrusts of a tick, and look at the wind ahead."""
+        state, said = read(self, state, Reading(true.state, true.thrust), tick)
+        measured = true._replace(state=said.state, thrust=said.thrust)
         if self.wind_ahead is not None:
-            winds = jax.vmap(wind_velocity, in_axes=(None, 0))(moment.wind, moment.time + self.wind_ahead)
+            winds = jax.vmap(wind_velocity, in_axes=(None, 0))(wind, true.time + self.wind_ahead)
             ahead = jnp.concatenate([self.wind_ahead[:, None], winds], axis=1)
             measured = measured._replace(preview=Preview(wind=ahead))
         return state, measured

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,27 +24,22 @@ is that of healthy ones, and latencies are not known.
 """
 
 
-class Tick(NamedTuple):
-    """What a tick has computed, for its row."""
+def record(
+    time: Float[Array, ""],
+    wind: Float[Array, "3"],
+    state: PlantState,
+    seen: Observation,
+    raw: Measurement,
+    command: Command,
+    rotation_error: Float[Array, ""] | None,
+) -> FlightRow:
+    """Return the row of a tick at `time` [s], in the true wind [m/s], of what was measured (`raw`) and commanded.
 
-    time: Float[Array, ""]
-    """Time [s]."""
-    wind: Float[Array, "3"]
-    """True wind [m/s]."""
-    plant: PlantState
-    seen: Observation
-    measurement: Measurement
-    command: Command
-    rotation_error: Float[Array, ""] | None
-    """Angle between base and set-point [rad], if there is one."""
-
-
-def record(tick: Tick) -> FlightRow:
-    """Return the row of a tick."""
-    time, wind, state, seen, raw, command, rotation_error = tick
+    `rotation_error` is the angle between base and set-point [rad], if there is one.
+    """
     robot, momentum, mass = state.robot, seen.dynamics.momentum, seen.dynamics.mass_matrix[0, 0]
     setpoint, terms = command.setpoint, command.terms
-    estimates, wind_std = (raw, jnp.zeros_like(wind)) if terms is None else (terms.estimates, terms.wind_std)
+    estimates = raw if terms is None else terms.estimates
     row = {
         "time": time,
         "base_position": robot.base_position,
@@ -66,7 +61,7 @@ def record(tick: Tick) -> FlightRow:
         "measured_joint_velocity": estimates.state.velocity[6:],
         "measured_thrust": estimates.thrust,
         "measured_wind": estimates.wind,
-        "measured_wind_std": wind_std,
+        "measured_wind_std": jnp.zeros_like(wind),
         "raw_base_position": raw.state.base_position,
         "raw_base_rotation": raw.state.base_rotation,
         "raw_base_velocity": raw.state.velocity[:6],

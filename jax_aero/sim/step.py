@@ -25,12 +25,12 @@ from jax_aero.body.spatial import multiply, rotation_angle, safe_norm
 from jax_aero.control import Command, Measurement
 from jax_aero.sim import outcome
 from jax_aero.sim import plant as world
-from jax_aero.sim.disturbance import Moment
-from jax_aero.sim.disturbances import States
+from jax_aero.sim.actuation import ActuationState
 from jax_aero.sim.outcome import FLYING
 from jax_aero.sim.plant import Acting, Observation, PlantState
 from jax_aero.sim.scenario import Scenario, check_precision
-from jax_aero.sim.signals import FlightRow, Tick, record, record_divergence
+from jax_aero.sim.sensors import SensorState
+from jax_aero.sim.signals import FlightRow, record, record_divergence
 from jax_aero.sim.wind import wind_velocity
 from jax_aero.types import Array, where
 
@@ -41,7 +41,8 @@ class FlightState(NamedTuple):
     plant: PlantState
     controller: Any
     """State of the controller."""
-    disturbances: States
+    sensors: SensorState | None
+    actuation: ActuationState | None
     posture: Float[Array, " n"]
     """Joint positions measured at the first tick [rad]."""
     loss: Int[Array, ""]
@@ -58,14 +59,15 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     # A state beyond the divergence limits is lost at once, and must not make derivatives infinite before that.
     divergence = outcome.divergence(scenario.plant, plant, jnp.zeros_like(plant.robot.velocity[:3]))
     first = where(divergence == FLYING, plant, world.zero_state(plant))
-    moment = scenario.moment(jnp.array(0, jnp.int32))
-    true = _truth(scenario, first, moment, jnp.zeros_like(plant.robot.velocity[:3]))
-    disturbances = scenario.disturbances.start(true)
-    seen = scenario.disturbances.measure(disturbances, true, moment)[1]
+    still = jnp.zeros_like(plant.robot.velocity[:3])
+    true = _truth(scenario, first, jnp.zeros_like(still[0]), still)
+    sensors = None if scenario.sensors is None else scenario.sensors.start(true)
+    seen = _measure(scenario, sensors, true, jnp.array(0, jnp.int32))[1]
     return FlightState(
         plant=plant,
         controller=scenario.controller.init(scenario.model, seen.state),
-        disturbances=disturbances,
+        sensors=sensors,
+        actuation=None if scenario.actuation is None else scenario.actuation.start(true),
         posture=seen.state.joint_position,
         loss=jnp.array(FLYING, jnp.int32),
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
@@ -89,35 +91,36 @@ def step(
     """
     check_precision(scenario)
     plant, tick = scenario.plant, jnp.asarray(tick, jnp.int32)
-    moment = scenario.moment(tick)
-    time, wind = moment.time, wind_velocity(scenario.wind, moment.time)
+    time = tick.astype(plant.time_step.dtype) * plant.time_step
+    wind = wind_velocity(scenario.wind, time)
     # Both branches of `where` are differentiated, so values beyond the limits must not enter the computation.
     divergence = outcome.divergence(plant, state.plant, wind)
     is_sound = divergence == FLYING
     at_rest = world.zero_state(state.plant)
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
-    true = _truth(scenario, now, moment, air)
-    disturbances, measurement = scenario.disturbances.measure(state.disturbances, true, moment)
+    sensors, measurement = _measure(scenario, state.sensors, _truth(scenario, now, time, air), tick)
     memory, command = scenario.controller.step(scenario.model, state.controller, hand(measurement))
     command.check(plant.robot)
     seen = _observe(scenario, now, command, air)
 
     rotation_error, fall, error = _errors(scenario, now, seen, command)
-    row = record(Tick(time, wind, now, seen, measurement, command, rotation_error))
+    row = record(time, wind, now, seen, measurement, command, rotation_error)
     row = where(is_sound, row, record_divergence(time, wind, state.plant, row))
 
     loss = jnp.where(is_sound, fall, divergence)
     lost_now = (state.loss == FLYING) & (loss != FLYING)
     goes_on = (state.loss == FLYING) & (loss == FLYING)
     # The next step of a lost flight may overflow.
-    acting = Acting(command.thrust_rate, (command.joint_torque,) * plant.substeps)
-    disturbances, acting = scenario.disturbances.act(disturbances, acting, plant.time_step / plant.substeps)
+    acting, actuation = Acting(command.thrust_rate, (command.joint_torque,) * plant.substeps), state.actuation
+    if scenario.actuation is not None and actuation is not None:
+        actuation, acting = scenario.actuation.act(actuation, acting)
     moved = world.advance(plant, where(goes_on, now, at_rest), seen, acting, air)
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
         controller=where(goes_on, memory, state.controller),
-        disturbances=disturbances,
+        sensors=sensors,
+        actuation=actuation,
         posture=state.posture,
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, error, state.loss_size),
@@ -126,11 +129,18 @@ def step(
     return after, row
 
 
-def _truth(scenario: Scenario, now: PlantState, moment: Moment, wind: Array) -> Measurement:
-    """Return what an undisturbed controller measures of this plant in this wind."""
-    if scenario.controller_wind is not None:
-        wind = wind_velocity(scenario.controller_wind, moment.time)
-    return Measurement(moment.time, now.robot, scenario.plant.jets.feedback(now.jets), wind)
+def _truth(scenario: Scenario, now: PlantState, time: Array, wind: Array) -> Measurement:
+    """Return what a controller measures of this plant in this wind without sensors."""
+    return Measurement(time, now.robot, scenario.plant.jets.feedback(now.jets), wind)
+
+
+def _measure(
+    scenario: Scenario, sensors: SensorState | None, true: Measurement, tick: Array
+) -> tuple[SensorState | None, Measurement]:
+    """Return the sensors' next state, and what they measure."""
+    if scenario.sensors is None or sensors is None:
+        return sensors, true
+    return scenario.sensors.measure(sensors, true, tick, scenario.wind)
 
 
 def _errors(

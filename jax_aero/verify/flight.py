@@ -166,11 +166,6 @@ def fly_astray(config: Mapping[str, Any]) -> Iterator[FlightResult]:
         yield flight.result()
 
 
-def fly_as(scenario: Scenario, start: FlightState, crate: FlightResult, *, is_free: bool = False) -> FlightResult:
-    """Fly the ticks of the crate's flight, or, if `is_free`, as many from its start."""
-    return join(crate, list(fly_sections(scenario, start, crate, is_free=is_free)))
-
-
 def fly_sections(
     scenario: Scenario, start: FlightState, crate: FlightResult, *, is_free: bool = False
 ) -> Iterator[Section]:

@@ -63,8 +63,8 @@ def test_both_estimate_the_same_state(x64, agree_with_the_log):
 
 @pytest.fixture(scope="module")
 def alone(x64):
-    """A controller with both estimators, its compiled step, its robot, and readings of one that hardly moves."""
-    config = scenario_config(rust.load_config(EXPERIMENT, {"controller.wind_observer": True}))
+    """A controller with its estimator, its compiled step, its robot, and readings of one that hardly moves."""
+    config = scenario_config(rust.load_config(EXPERIMENT))
     robot, first = load_robot(config.robot), config.simulator.initial
     rng = np.random.default_rng(7)
 
@@ -81,7 +81,7 @@ def alone(x64):
     return controller, jax.jit(controller.step), robot, [reading(tick) for tick in range(10)]
 
 
-def test_a_controller_alone_has_both_estimators_in_its_state(alone):
+def test_a_controller_alone_has_its_estimator_in_its_state(alone):
     controller, step, robot, readings = alone
 
     def run(memory, readings):
@@ -100,9 +100,6 @@ def test_a_controller_alone_has_both_estimators_in_its_state(alone):
         assert np.allclose(given.state.velocity[:6], reading.state.velocity[:6], rtol=1e-12) == is_first
         assert np.all(given.state.velocity[6:] == 0.0) == is_first
         assert command.degraded_modes == 0
-        assert not np.array_equal(after.wind.wind, before.wind.wind)
-        np.testing.assert_array_equal(given.wind, before.wind.wind)
-        np.testing.assert_allclose(command.terms.wind_std, before.wind.std, rtol=1e-14)
         np.testing.assert_array_equal(after.estimator.orders.torque[0], command.joint_torque)
     _, again = run(states[5], readings[5:])
     for ours, theirs in zip(jax.tree.leaves(again), jax.tree.leaves(commands[5:]), strict=True):

@@ -66,9 +66,14 @@ def test_jax_flies_as_the_guarded_crate(name, fly_both):
 
 REFUSED = {
     "disturbances.outages": [{"channel": "wind", "start": 1.0, "kind": "missing"}],
+    "disturbances.pushes": [{"body": "chest", "force": [1.0, 0.0, 0.0], "start": 0.0, "duration": 1.0}],
+    "disturbances.wind_estimate": {"noise_std": 1.0},
+    "disturbances.controller_wind": {"profile": "constant", "velocity": [0.0, -8.0, 0.0]},
+    "controller.wind_observer": True,
     "disturbances.joints": [{"joint": "l_elbow", "kind": "stuck", "start": 1.0}],
     "disturbances.jets.failure": {"jet": "l_arm_jet", "time": 1.0, "kind": "off"},
     "disturbances.jets.thrust_limit_scale": 0.7,
+    "disturbances.jets.lag": 0.05,
     "controller.torque.steps": 5,
     "own_controller": {"file": __file__, "name": "healthy"},
     "simulator.sensors.base_position.period": 0.05,

@@ -53,7 +53,6 @@ def test_a_flight_along_a_recorded_reference(name, fly_both):
 VARIANTS = {
     "engine_out": {
         "simulator.duration": 24.0,
-        "disturbances.jets.lag": 0.04,
         "disturbances.jets.thrust_limit_scale": 0.85,
     },
     "second_order_jets": {},

@@ -30,12 +30,10 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 EVERYTHING = {
     "simulator.duration": 0.05,
     "simulator.jets": {"dynamics": "throttled"},
-    "controller.wind_observer": True,
-    "disturbances.wind_estimate": {"noise_std": 1.0},
     "disturbances.aero": {"drag": 1.1},
     "disturbances.model_error": {"mass_scale": 1.1},
     "controller.fault_detection.engines": False,
-    "disturbances.jets": {"lag": 0.1, "failure": {"jet": "chest_l_jet", "time": 1.0, "kind": "off", "decay": 0.5}},
+    "disturbances.jets": {"failure": {"jet": "chest_l_jet", "time": 1.0, "kind": "off", "decay": 0.5}},
 }
 """What a flight may have beside its defaults."""
 

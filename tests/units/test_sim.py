@@ -209,22 +209,16 @@ def test_double_precision_is_never_silently_missing():
 
 
 def test_what_others_were_computed_from_does_not_change():
-    """They would stay as they are: filters, delays, noise, and the mean of a wind that the controller is given."""
-    config = rust.load_config("test2", {"simulator.duration": 0.1, "disturbances.wind_estimate": {"mean_only": True}})
+    """They would stay as they are: filters, delays and noise."""
+    config = rust.load_config("test2", {"simulator.duration": 0.1, "simulator.actuation": {"drop": 0.1}})
     scenario, _ = sim.prepare(config, dtype=np.float32)
-    other, wind = replace(scenario, controller_wind=scenario.wind), {"wind.velocity": jnp.zeros(3)}
     names = ("plant.time_step", "controller.time_step", "controller.setpoint.time_step")
-    refused = [(scenario, {name: 0.02}) for name in names] + [(scenario, wind), (scenario, {"n_ticks": 20})]
-    for of, values in [*refused, (other, {"controller_wind.velocity": jnp.zeros(3)})]:
+    for values in [*({name: 0.02} for name in names), {"n_ticks": 20}]:
         with pytest.raises(ValueError, match=rf"`{next(iter(values))}` is what others .*; expected `prepare`"):
-            replace_values(of, values)
-    with pytest.raises(ValueError, match=r"wind\.velocity"):
-        jax.eval_shape(lambda traced: replace_values(traced, wind), scenario)
-    assert not replace_values(other, wind).wind.velocity.any()
-    exact = replace(scenario, disturbances=replace(scenario.disturbances, wind_estimate=None))
+            replace_values(scenario, values)
+    assert not replace_values(scenario, {"wind.velocity": jnp.zeros(3)}).wind.velocity.any()
+    exact = replace(scenario, actuation=None)
     assert replace_values(exact, {"n_ticks": 20}).n_ticks == 20
-    exact = replace_values(scenario, {"disturbances.wind_estimate.is_mean": False})
-    assert jax.eval_shape(lambda velocity: replace_values(exact, {"wind.velocity": velocity}), jnp.zeros(3))
 
 
 @pytest.mark.parametrize(

@@ -23,13 +23,9 @@ FLIGHTS: dict[str, dict[str, Any]] = {
         "simulator.substeps": 2,
         "simulator.actuation": {"torque_delay": 0.005, "drop": 0.1},
         "simulator.jets": {"dynamics": "throttled"},
-        "disturbances.wind_estimate": {"delay": 0.1, "noise_std": 0.1},
-        "disturbances.jets": {"lag": 0.02, "thrust_limit_scale": 0.9, "limit_is_known": True},
+        "disturbances.jets": {"thrust_limit_scale": 0.9, "limit_is_known": True},
     },
-    "robustness_mpc": {
-        "controller.wind_observer": True,
-        "disturbances.pushes": [{"body": "chest", "moment": [1.0, 0.0, 0.0], "start": 0.0, "duration": 0.1}],
-    },
+    "robustness_mpc": {},
     "min_time": {"disturbances.aero_estimate.scale": 0.9, "disturbances.model_error.mass_scale": 1.1},
     "test1_published": {},
 }

@@ -18,7 +18,7 @@ from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.step import FlightState
 from jax_aero.types import Array, pytree
 from jax_aero.verify import law, use_double_precision
-from jax_aero.verify.flight import compare_ticks, fly_as, replay_rounded
+from jax_aero.verify.flight import compare_ticks, fly_sections, join, replay_rounded
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -54,19 +54,17 @@ def changeable(config) -> tuple[Scenario, FlightState]:
     late = {"simulator.actuation": {"torque_delay": step, "thrust_delay": step}}
     scenario, start = prepare(rust.set_keys(config, late))
     world, robot, one = scenario.plant, scenario.plant.robot, np.ones(())
-    way = scenario.disturbances.actuation
-    at_once = replace(scenario.disturbances, actuation=replace(way, lag=0 * way.lag))
+    way = scenario.actuation
     parts = {item.name: getattr(world, item.name) for item in fields(Plant)}
     parts["aero"] = WeightedModel(world.aero, one, one, np.ones(robot.aero_links.count))
     world = GyratingPlant(**parts, gyration=one)
     model = scenario.controller_model or robot
-    return replace(scenario, plant=world, disturbances=at_once, controller_model=model), start
+    return replace(scenario, plant=world, actuation=replace(way, lag=0 * way.lag), controller_model=model), start
 
 
 def wrong_twins(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
     world, controller, model = scenario.plant, scenario.controller, scenario.controller_model
-    robot, swapped, given = world.robot, [0, 1, 3, 2], scenario.disturbances
-    way = given.actuation
+    robot, swapped, way = world.robot, [0, 1, 3, 2], scenario.actuation
 
     def of_plant(**parts) -> Scenario:
         return replace(scenario, plant=replace(world, **parts))
@@ -83,7 +81,7 @@ def wrong_twins(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
     yield "1 % of inertia", of_robot(inertias=1.01 * robot.inertias)
     yield (
         "a dead time of one tick",
-        replace(scenario, disturbances=replace(given, actuation=replace(way, lag=way.lag + world.substeps))),
+        replace(scenario, actuation=replace(way, lag=way.lag + world.substeps)),
     )
     yield "the sign of the gyroscopic moment", of_plant(gyration=jnp.array(-1.0))
     yield "swapped jets", of_robot(jets=replace(robot.jets, positions=robot.jets.positions[swapped, :]))
@@ -115,7 +113,7 @@ def test_wrong_twins_are_refused(experiment):
     rounded = replay_rounded(config, crate, crate)
 
     def refused(twin: Scenario) -> list[str]:
-        ticks, rows = compare_ticks(crate, fly_as(twin, start, crate), rounded)
+        ticks, rows = compare_ticks(crate, join(crate, list(fly_sections(twin, start, crate))), rounded)
         assert ticks == 200
         return [row.quantity for row in rows if not row.agrees]
 

@@ -15,14 +15,11 @@ with `K = K_P + K_D + K_O⁻¹`. Equations M57 and M61 to M63 of `docs/model`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from jax_aero.base.arrays import namespace
 from jax_aero.body.robot import RobotModel
@@ -62,62 +59,26 @@ class TaskParams(NamedTuple):
     """Steepness of the joint bounds [1/rad, 1/m]."""
 
 
-def task_params(config: ControllerSection, robot: RobotModel, time_step: float) -> TaskParams:
-    """Return weights and bounds in the order of the robot's jets and joints.
-
-    Raises
-    ------
-    ValueError
-        For a name that the robot does not have, and for bounds with which thrusts or joints would oscillate.
-    """
-    weights, bounds = config.weights, config.bounds
-    gains = _values_by_name("posture_gain", config.posture_gain, [name for name, _ in robot.joint_groups], robot)
-    counts = [len(joints) for _, joints in robot.joint_groups]
+def task_params(config: ControllerSection, robot: RobotModel) -> TaskParams:
+    """Return weights and bounds in the order of the robot's jets and joints; the crate has checked them."""
+    weights, bounds, jets = config.weights, config.bounds, robot.jets.names
+    gains = [config.posture_gain[name] for name, joints in robot.joint_groups for _ in joints]
     common = bounds.joint_velocity_max_deg
     velocity_max = choose_limits(robot.joint_velocity_max, None if common is None else np.deg2rad(common), robot)
-    thrust_rate_max = _values_by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)
-    _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
-    _check_steepness("joint_steepness", bounds.joint_steepness, velocity_max, time_step)
     return TaskParams(
         momentum=leaf(weights.momentum),
         angular_momentum=leaf(weights.angular_momentum),
         posture=leaf(weights.posture),
         joint_velocity=leaf(weights.joint_velocity),
-        thrust_rate=leaf(_values_by_name("weights.thrust_rate", weights.thrust_rate, robot.jets.names, robot)),
+        thrust_rate=leaf([weights.thrust_rate[name] for name in jets]),
         symmetry=leaf(weights.symmetry),
         regularisation=leaf(weights.regularisation),
-        posture_gain=leaf(np.repeat(gains, counts)),
-        thrust_rate_max=leaf(thrust_rate_max),
+        posture_gain=leaf(gains),
+        thrust_rate_max=leaf([bounds.thrust_rate_max[name] for name in jets]),
         thrust_steepness=leaf(bounds.thrust_steepness),
         joint_velocity_max=velocity_max,
         joint_steepness=leaf(bounds.joint_steepness),
     )
-
-
-def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step: float) -> None:
-    """Refuse a bound with which values oscillate from tick to tick.
-
-    Near a limit the rate's bound has the slope `r ε`, so the distance is multiplied by `1 − h r ε` per tick. If the
-    robot is traced the rates are unknown, and nothing is checked.
-    """
-    if isinstance(rate_max, jax.core.Tracer):
-        return
-    step = np.asarray(rate_max).max(initial=0.0) * time_step
-    if steepness * step > 2.0 * (1.0 + 1e-9):  # the published numbers are the limit: 1 − 0.01 · 100 · 2 = −1
-        raise ValueError(
-            f"`controller.bounds.{key}` is {steepness:g}; "
-            f"expected at most {2.0 / step:g}, 2 / (greatest rate · time step of {time_step:g} s)"
-        )
-
-
-def _values_by_name(table: str, values: Mapping[str, float], names: Sequence[str], robot: RobotModel) -> list[float]:
-    """Return the value of every name, in the order of `names`."""
-    for name in {*values, *names}:
-        if name not in names:
-            raise ValueError(f"unknown name `{name}` in controller.{table}; {robot.name} has {', '.join(names)}")
-        if name not in values:
-            raise ValueError(f"`controller.{table}.{name}` is missing; expected a number")
-    return [values[name] for name in names]
 
 
 def choose_limits(
@@ -130,17 +91,8 @@ def choose_limits(
 
 
 def symmetric_pairs(config: ControllerSection, robot: RobotModel) -> tuple[tuple[int, int], ...]:
-    """Return the index pairs of jets that should have equal thrust rates.
-
-    Raises
-    ------
-    ValueError
-        For a jet that the robot does not have.
-    """
+    """Return the index pairs of jets that should have equal thrust rates."""
     known = robot.jets.names
-    for name in [name for pair in config.weights.symmetric_jets for name in pair]:
-        if name not in known:
-            raise ValueError(f"`{name}` in weights.symmetric_jets is no jet of {robot.name}: {', '.join(known)}")
     return tuple((known.index(a), known.index(b)) for a, b in config.weights.symmetric_jets)
 
 
