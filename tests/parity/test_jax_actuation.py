@@ -29,7 +29,7 @@ def test_a_delay_of_some_steps_shifts_commands_by_them(delay, substeps):
     state, torques, rates = way.start(FIRST), [], []
     for tick in range(ticks):
         commanded = Acting(jnp.array([-float(tick)]), (jnp.array([float(tick)]),) * substeps)
-        state, acting = way.act(state, commanded, step)
+        state, acting = way.act(state, commanded)
         torques += [float(torque[0]) for torque in acting.torques]
         rates.append(float(acting.thrust_rate[0]))
     expected = np.maximum(np.arange(ticks * substeps) - delay, 0) // substeps
@@ -79,7 +79,7 @@ def test_late_commands_have_derivatives():
         way = actuation(ActuationConfig(torque_delay=0.01), 0.01, 1, 3)
         state = way.start(FIRST)
         for torque in torques:
-            state, acting = way.act(state, Acting(jnp.zeros(1), (torque[None],)), 0.01)
+            state, acting = way.act(state, Acting(jnp.zeros(1), (torque[None],)))
         return acting.torques[0][0]
 
     np.testing.assert_array_equal(jax.grad(second)(jnp.array([1.0, 2.0, 3.0])), [0.0, 1.0, 0.0])
