@@ -117,11 +117,6 @@ class Training(tables.Table, frozen=True):
             self.distillation.training.epochs if self.distillation else 0
         )
 
-    @property
-    def stops_early(self) -> bool:
-        """Whether held-out rows select the weights that are kept."""
-        return self.training.patience > 0 or (self.distillation is not None and self.distillation.training.patience > 0)
-
     def start(self, seed: int) -> Network:
         """Return a network with random weights."""
         robot = self.robot_model

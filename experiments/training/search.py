@@ -1,8 +1,7 @@
 """Search for better settings: `jax-aero train search NAME --dataset FILE`.
 
 A file of `configs/training_search/` names a training file and ranges for some of its keys. A trial trains one network
-per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out:
-of the weights that are kept, with patience the best ones.
+per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out.
 An interrupted search goes on with the next trial, and a finished one with --trials of more.
 """
 

@@ -18,7 +18,7 @@ class Checkpoint(NamedTuple):
     """State of a run."""
 
     state: Any
-    """Weights, moments of Adam, best weights so far: any pytree of arrays."""
+    """Weights, moments of Adam: any pytree of arrays."""
     facts: dict[str, Any]
     """Number of finished steps, loss curves: what is stored as JSON."""
 

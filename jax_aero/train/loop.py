@@ -1,4 +1,4 @@
-"""The training loop: epochs of minibatches, validation without dropout, early stopping, checkpoints."""
+"""The training loop: epochs of minibatches, validation without dropout, checkpoints."""
 
 from __future__ import annotations
 
@@ -51,8 +51,6 @@ class Settings(tables.Table, frozen=True):
     """Whether outputs are scaled by the spread of the targets, about their mean."""
     validate_every: tables.Count = 1
     """Epochs between validations."""
-    patience: tables.Natural = 0
-    """Epochs without a better validation after which training stops, with the best weights; 0 for never."""
 
     def __post_init__(self) -> None:
         if unknown := set(self.noise) - set(BLOCKS):
@@ -89,7 +87,6 @@ class Interrupted(KeyboardInterrupt):
 class _State:
     layers: tuple[Layer, ...]
     adam: AdamState
-    best: tuple[Layer, ...]
 
 
 class _Now(NamedTuple):
@@ -97,8 +94,6 @@ class _Now(NamedTuple):
 
     state: _State
     epoch: int
-    best_error: float
-    best_epoch: int
     curves: tuple[Curve, ...]
 
 
@@ -120,7 +115,7 @@ def fit(
     network
         Network with the initial weights; scale and offset are set from the training samples if the settings say so.
     training, validation
-        Samples, with mirror images if wanted. Without validation there is no early stopping.
+        Samples, with mirror images if wanted.
     seed
         Seed of the order of rows, dropout and noise.
     on_epoch
@@ -143,11 +138,10 @@ def fit(
         scale = np.full_like(offset, training.y.std())
         network = replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
     digest = _digest(network, training, validation, settings, seed)
-    now = _Now(_State(network.layers, adam_start(network.layers), network.layers), 0, np.inf, 0, ())
+    now = _Now(_State(network.layers, adam_start(network.layers)), 0, ())
     if checkpoint is not None and (found := load_checkpoint(checkpoint, digest, now.state)):
-        best_error, best_epoch = found.facts["best"] or (np.inf, 0)
         curves = tuple((row[0], row[1], row[2]) for row in found.facts["curves"])
-        now = _Now(found.state, found.facts["epoch"], best_error, best_epoch, curves)
+        now = _Now(found.state, found.facts["epoch"], curves)
     data = (jnp.asarray(training.x), jnp.asarray((training.y - network.offset) / network.scale))
     noise = _noise(network, settings)
     run = functools.partial(_epoch, settings, network.activation, batch)
@@ -156,7 +150,7 @@ def fit(
     saved = time.perf_counter()
     with jax.default_matmul_precision(MATMUL[settings.matmul]):
         try:
-            while now.epoch < settings.epochs and not _is_stuck(settings, now):
+            while now.epoch < settings.epochs:
                 started = time.perf_counter()
                 layers, adam, loss = run(
                     now.state.layers, now.state.adam, data, noise, jnp.uint32(seed), jnp.uint32(now.epoch)
@@ -168,7 +162,8 @@ def fit(
                 if validation is not None and is_due:
                     error = validation_error(replace(network, layers=layers), validation)
                 # One assignment, so that an interruption leaves the last complete epoch.
-                now = _advance(now, layers, adam, train_error, error, is_due=is_due)
+                seen = ((now.epoch + 1, train_error, error),) if is_due else ()
+                now = _Now(_State(layers, adam), now.epoch + 1, (*now.curves, *seen))
                 times.append(time.perf_counter() - started)
                 if on_epoch is not None:
                     on_epoch(now.epoch, train_error, error)
@@ -181,32 +176,12 @@ def fit(
             raise Interrupted from None
     if checkpoint is not None:
         _keep(checkpoint, digest, now)
-    layers, error = now.state.layers, now.curves[-1][2]
-    if settings.patience and validation is not None:
-        layers, error = now.state.best, now.best_error
-    steady = times[1:] or times or [0.0]
-    return FitResult(replace(network, layers=layers), error, now.curves, now.epoch, float(np.mean(steady)))
-
-
-def _is_stuck(settings: Settings, now: _Now) -> bool:
-    # Judged by the last validation, since nothing can have improved between two of them.
-    return settings.patience > 0 and now.best_epoch > 0 and now.curves[-1][0] - now.best_epoch >= settings.patience
-
-
-def _advance(
-    now: _Now, layers: tuple[Layer, ...], adam: AdamState, train_error: float, error: float | None, *, is_due: bool
-) -> _Now:
-    epoch = now.epoch + 1
-    curves = (*now.curves, (epoch, train_error, error)) if is_due else now.curves
-    if error is not None and error < now.best_error:
-        return _Now(_State(layers, adam, layers), epoch, error, epoch, curves)
-    return _Now(_State(layers, adam, now.state.best), epoch, now.best_error, now.best_epoch, curves)
+    trained, steady = replace(network, layers=now.state.layers), times[1:] or times or [0.0]
+    return FitResult(trained, now.curves[-1][2], now.curves, now.epoch, float(np.mean(steady)))
 
 
 def _keep(path: Path, digest: str, now: _Now) -> None:
-    best = [now.best_error, now.best_epoch] if now.best_epoch else None
-    facts = {"epoch": now.epoch, "curves": list(now.curves), "best": best}
-    save_checkpoint(path, digest, Checkpoint(now.state, facts))
+    save_checkpoint(path, digest, Checkpoint(now.state, {"epoch": now.epoch, "curves": list(now.curves)}))
 
 
 def validation_error(network: Network, samples: Samples) -> float:

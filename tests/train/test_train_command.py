@@ -21,7 +21,7 @@ from jax_aero.base import files, places, plain, tables
 from jax_aero.base.terminal import INTERRUPTED, Refused
 from jax_aero.body.robot import load_robot
 from jax_aero.cli import main
-from jax_aero.train import Interrupted, fit, predict_areas, samples_of
+from jax_aero.train import Interrupted, predict_areas
 from paper_figs.command import main as draw
 from tests import cfd_table
 
@@ -247,8 +247,6 @@ def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
             [],
             '`network.features` is ["wind","wind"]; expected one value or more',
         ),
-        ({"training__patience": "3"}, [], "expected a `patience` of 0: rows held out would choose the weights"),
-        ({"distillation__training__patience": "3"}, [], "compact.toml: expected a `patience` of 0"),
         ({"validation__random_seeds": "[1, 1]"}, [], "`validation.random_seeds` is [1,1]; expected each seed once"),
         ({"validation__fold_seeds": "[2, 2]"}, [], "`validation.fold_seeds` is [2,2]; expected each seed once"),
     ],
@@ -394,22 +392,6 @@ def test_a_trial_whose_network_diverges_has_an_infinite_error(search, made_up_da
     path = places.CONFIGS / "training" / "plain.toml"
     settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
     assert search.error_of(search.replace_keys(path, tables.read(path), changes), made_up_dataset, settings) == np.inf
-
-
-def test_a_trial_is_judged_by_the_weights_that_it_keeps(search, made_up_dataset):
-    """With patience those of the best validation, not of the last."""
-    changes = {"network.hidden": [4], "training.epochs": 30, "training.batch": 32, "training.learning_rate": 0.5}
-    path = places.CONFIGS / "training" / "plain.toml"
-    settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
-    training = search.replace_keys(
-        path, tables.read(path), changes | {"training.patience": 3, "training.validate_every": 1}
-    )
-    rows = made_up_dataset.add_mirror_images() if training.mirrored else made_up_dataset
-    (train, held_out), *_ = rows.grouped_folds(0, 3)
-    start = training.start(training.seed)
-    seen, unseen = (samples_of(start, training.robot_model, rows.take(part)) for part in (train, held_out))
-    errors = [row[2] for row in fit(start, seen, unseen, training.training, training.seed).curves]
-    assert search.error_of(training, made_up_dataset, settings) == min(errors) < errors[-1]
 
 
 def test_another_robot_is_trained_on_its_own_joints_and_links(tmp_path):
