@@ -54,21 +54,6 @@ def test_policies_are_judged_beside_the_controller_alone(tmp_path, monkeypatch):
     assert hashes == {"short": document["config_digest"]}
 
 
-def test_laws_are_compared_in_worlds(tmp_path):
-    """One that changes nothing has the ratio 1; gains of the observer change the errors."""
-    (tmp_path / "own.toml").write_text(
-        f'base = "{places.CONFIGS}/experiments/test1_observer.toml"\ntitle = "Own"\ndescription = "Short."\n'
-        'design = "latin_hypercube"\nsamples = 3\nset = { "simulator.duration" = 3.5, mission = {} }\n'
-        '[[axis]]\nname = "mass"\nkey = "disturbances.model_error.mass_scale"\nlow = 0.9\nhigh = 0.95\n'
-    )
-    laws = {"alone": {}, "same": {}, "slow": {"controller.disturbance_observer.gain_force": 0.1}}
-    found = policy.fly_worlds(tmp_path / "own.toml", laws)
-    ratios = [found[f"own, same, rms_com_error, ratio{part}"] for part in ("", ", low", ", high")]
-    assert ratios == [1.0, 1.0, 1.0]
-    assert found["own, slow, rms_com_error, ratio, low"] > 1.5
-    assert found["own, slow, lost"] == 0
-
-
 def test_winds_are_those_of_the_task():
     winds = policy.draw_winds(1, 400, Task())
     speeds = np.linalg.norm(winds, axis=1)

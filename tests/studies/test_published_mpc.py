@@ -378,7 +378,7 @@ def test_the_table_is_made_of_what_was_flown_and_goes_on(monkeypatch, tmp_path):
         return [(1, "completed", 2.0, 0.5), (0, "fell", 90.0, np.nan)]
 
     monkeypatch.setattr(study, "fly_cell", fly_cell)
-    asked = study.Compared(controllers=("published", "published, any torque"), cases=("still air", "5 m/s"))
+    asked = study.Compared(controllers=("published",), cases=("still air", "5 m/s"))
     work = Work.on(tmp_path / "mk3", Identity("0"))
     found = study.compute("mk3", asked, work)
     assert flown == [("published", 0.0), ("published", 5.0)]

@@ -9,8 +9,7 @@ from experiments import Refused
 from experiments.cfd import models
 from experiments.data import import_tunnel, tunnel
 from experiments.data.fit import predicted_areas
-from experiments.data.ironcub import LINKS, joint_position
-from experiments.studies.tunnel_moments import correction as tunnel_correction
+from experiments.data.ironcub import joint_position
 from experiments.studies.tunnel_moments import figure
 from experiments.studies.tunnel_moments import study as tunnel_moments
 from jax_aero.aero import dataset
@@ -48,17 +47,6 @@ def test_the_measured_moment_has_the_offset_of_its_side(points):
     np.testing.assert_allclose(moved - points["below"]["moment_com"].values, expected, atol=1e-15)
 
 
-@pytest.mark.parametrize("kind", ["hovering", "flight"])
-@pytest.mark.parametrize("axis", range(3))
-def test_a_moved_balance_centre_changes_the_measured_moment(points, kind, axis):
-    data, size = points["below"], tunnel.LEVERS[kind, "below"].deviation[axis]
-    offset = {kind: size * np.eye(3)[axis]}
-    moved = tunnel_moments.moment_about_com(data, "below", lambda _, mount: offset.get(mount, np.zeros(3)))
-    column = axis + 3 * (kind == "flight")
-    taken = tunnel_moments.lever_columns(data)[:, 3:, column]
-    np.testing.assert_allclose(data["moment_com"].values - moved, taken, atol=1e-15)
-
-
 def test_corrected_arms_are_the_links_centres_and_published_ones_are_not_turned(robot, points):
     data = points["below"]
     areas = np.random.default_rng(1).normal(size=(3, 13, 3))
@@ -84,42 +72,6 @@ def test_models_are_evaluated_in_the_wind_of_the_tunnel(robot, points):
         np.asarray(robot.aero_links.coefficients["corrected"]), link_axes(robot, joint_position(robot, joints)), wind
     )
     np.testing.assert_allclose(found, expected, atol=1e-14)
-
-
-def test_a_correction_adds_what_changed_links_add(robot, points, measured):
-    data = points["below"]
-    joints, wind = data["joint_position"].values, dataset.wind_direction(data["pitch"].values, data["yaw"].values)
-    positions, areas = joint_position(robot, joints), np.random.default_rng(1).normal(size=(3, 13, 3))
-    steps = tunnel_correction.columns(robot, joints, wind, areas).reshape(3, 6, -1, 3)
-    place = [LINKS.index(name) for name in tunnel_correction.FAMILIES["lower legs"]]
-    family = list(tunnel_correction.FAMILIES).index("lower legs")
-    drag = np.einsum("nlx,nx,ny->nly", areas, wind, wind)
-    changed = np.array([areas, areas, areas])
-    changed[0][:, place] += 0.2 * drag[:, place]
-    changed[1][:, place] += 0.2 * (areas - drag)[:, place]
-    for kind in range(2):
-        whole = [np.concatenate(total_wrench(robot, positions, one), axis=1) for one in (changed[kind], areas)]
-        # Sums of 13 links of order 1: rounding of 1e-15 each.
-        measured("factor", np.max(np.abs(whole[0] - whole[1] - steps[:, :, family, kind])), 5e-14)
-    moved = 0.05 * np.cross(link_axes(robot, positions)[:, place], areas[:, place]).sum(axis=1)
-    measured("offset", np.max(np.abs(steps[:, :, family, 2] - np.concatenate([0.0 * moved, moved], axis=1))), 5e-14)
-
-
-@pytest.mark.close_to_tolerance("the tolerance is the shrinkage itself, with the least eigenvalue instead of all")
-def test_a_known_correction_is_found_and_holds_for_postures_left_out(measured):
-    rng = np.random.default_rng(2)
-    steps, posture = rng.normal(size=(60, 6, 21)), np.repeat([f"p{i}" for i in range(10)], 6)
-    truth = rng.normal(size=21)
-    known = tunnel_correction.Points(steps, steps @ truth, posture)
-    # The least ridge, 1e-3, over the least eigenvalue of 360 random rows of 21, at least 6 (1 - (21/360)^½)² = 3.4,
-    # with errors normalised by their root mean square, about |truth|: each shrinks by less than 1e-3 |truth|² / 3.4.
-    shrunk = 1e-3 * float(truth @ truth) / 3.4
-    found = tunnel_correction.numbers(known)
-    measured("numbers", np.linalg.norm(found - truth) / np.linalg.norm(truth), shrunk)
-    error = tunnel_correction.held_out_errors(known, posture)
-    measured("left-out postures", np.sqrt(np.mean(error**2) / np.mean(known.missing**2)), 2.0 * shrunk)
-    noise = tunnel_correction.Points(steps, rng.normal(size=(60, 6)), posture)
-    assert np.sum(tunnel_correction.held_out_errors(noise, posture) ** 2) < 1.1 * np.sum(noise.missing**2)
 
 
 def test_postures_are_drawn_with_all_of_their_rows():
@@ -149,7 +101,10 @@ def test_a_model_that_is_the_measurement_has_no_error(points):
 def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkeypatch, agree):
     monkeypatch.setattr(tunnel_moments, "DRAWS", 20)
     data = points["below"]
-    areas = {name: np.full((3, 13, 3), 1e-3 * (k + 1)) for k, name in enumerate(tunnel_moments.CORRECTED)}
+    areas = {
+        name: np.full((3, 13, 3), 1e-3 * (k + 1))
+        for k, name in enumerate(("axisymmetric, corrected", "network, shipped"))
+    }
     result = tunnel_moments.compare_moments(robot, data, areas)
     found = tunnel_moments.summary(result)
     measured = tunnel_moments.moment_about_com(data, "above")
@@ -159,7 +114,7 @@ def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkey
         agree("own", found[f"{group}: the measurement's own standard deviation [N m]"], 61.25 * own, 1e-12)
     without = np.sqrt(np.mean(np.sum(measured[alone] ** 2, axis=1)))
     agree("no model", found["hovering, centre above, no moment, corrected arms: rms [N m]"], 61.25 * without, 1e-12)
-    name = tunnel_moments.CORRECTED[0]
+    name = "axisymmetric, corrected"
     # Arms matter to a model that has forces.
     arms = [f"hovering, centre above, {model}, published arms: rms [N m]" in found for model in (name, "no moment")]
     assert arms == [True, False]
@@ -167,25 +122,12 @@ def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkey
     assert more[0] <= more[1]
     assert 0.0 <= more[2] <= 1.0
 
-    monkeypatch.setattr(tunnel_moments, "held_out_errors", lambda points, _: 0.5 * points.missing)
-    fixed = tunnel_moments.corrections(robot, data, areas)
-    wrench = total_wrench(robot, joint_position(robot, data["joint_position"].values), areas[name])
-    force = np.sqrt(np.mean(np.sum((data["force_area"].values - wrench.force_area) ** 2, axis=1)))
-    agree("force", fixed[f"all, centre below, {name}, as it is: force, rms [N]"], 61.25 * force, 1e-12)
-    moment = tunnel_moments.moment_about_com(data, "below") - wrench.moment_volume
-    moment = np.sqrt(np.mean(np.sum(moment[~alone] ** 2, axis=1)))
-    agree("moment", fixed[f"flight, centre below, {name}, as it is: moment, rms [N m]"], 61.25 * moment, 1e-12)
-    key = f"all, centre below, {name}, corrected by other postures: force"
-    agree("force, corrected", fixed[f"{key}, rms [N]"], 0.5 * 61.25 * force, 1e-12)
-    assert fixed[f"{key}, added, 2.5 %"] <= fixed[f"{key}, added, 97.5 %"] < 0.0
-
 
 def test_the_points_of_the_tunnel_count(tmp_path, monkeypatch):
     monkeypatch.setattr(tunnel_moments, "read", lambda _: xr.Dataset(coords={"point": [0]}))
     monkeypatch.setattr(tunnel_moments, "model_areas", lambda *_: {})
     monkeypatch.setattr(tunnel_moments, "compare_moments", lambda _, data, __: data)
     monkeypatch.setattr(tunnel_moments, "summary", lambda _: {})
-    monkeypatch.setattr(tunnel_moments, "corrections", lambda *_: {})
     path = tmp_path / "tunnel.nc"
     config = tunnel_moments.MomentsConfig(dataset=path)
     found = tunnel_moments.compute("mk1", config)

@@ -2,8 +2,8 @@
 
 `jax-aero study along` reads `results/flight/NAME/`, and flies experiments that are not there. Fuel consumption is
 linear in the thrust of every jet (`configs/tables/fuel.toml`); the clearance is that of a trim, from the axis of an
-exhaust to the surface of a link, including soles, and from a turbine to the links that it does not touch at the start.
-The result goes to `results/along/flights/`; `jax-aero figures along` draws it.
+exhaust to the surface of a link, including soles. The result goes to `results/along/flights/`; `jax-aero figures along`
+draws it.
 """
 
 from __future__ import annotations
@@ -23,15 +23,12 @@ from experiments.study import Findings, Study
 from jax_aero.base import places, run_file, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.symbolic import load_robot
-from jax_aero.symbolic.clearance import around, pairs
+from jax_aero.symbolic.clearance import pairs
 from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.symbolic.trajectory import Consumption, fuel_burnt, fuel_lines, load_fuel
 
 STEP = 0.1
 """Time between evaluated samples [s]."""
-
-TINY = 1e-9
-"""Change of a distance between two postures from which on joints move it [m]."""
 
 Array = NDArray[np.float64]
 
@@ -75,13 +72,11 @@ def fuel_and_clearance(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption]
         if tuple(run["joint"].values) != tuple(robot.joint_names):
             raise Refused(f"`flights` has {name}, whose joints are not those of {robot.name}; expected flights of it")
     distances, jets = clearance_of(robot, plume_length)
-    turbine_distances = turbines_of(robot)
     idle, slope = fuel_lines(fuel, robot)
     end = max(float(run["time"][-1]) for run in runs.values())
     times = np.arange(0.0, end + 0.5 * STEP, STEP)
     burnt = np.full((len(runs), times.size), np.nan)
     nearest = np.full((len(runs), times.size, len(jets)), np.nan)
-    turbines = np.full((len(runs), times.size), np.nan)
     lost_times = [float(run.attrs["lost_time"]) for run in runs.values()]
     for index, (run, lost) in enumerate(zip(runs.values(), lost_times, strict=True)):
         until = float(run["time"][-1]) if np.isnan(lost) else lost
@@ -90,8 +85,6 @@ def fuel_and_clearance(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption]
         burnt[index, flown] = np.interp(times[flown], run["time"].values, total)
         posture = run["joint_position"].sel(time=times[flown], method="nearest").values
         nearest[index, flown] = np.array([distances(row).full().ravel() for row in posture])
-        between = np.array([turbine_distances(row).full().ravel() for row in posture])
-        turbines[index, flown] = between[:, between[0] > 0.0].min(axis=1, initial=np.inf)
     return xr.Dataset(
         {
             "fuel": (("flight", "time"), burnt, {"units": "l", "long_name": "fuel burnt"}),
@@ -99,11 +92,6 @@ def fuel_and_clearance(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption]
                 ("flight", "time", "jet"),
                 nearest,
                 {"units": "m", "long_name": "from the exhaust's axis to the nearest link"},
-            ),
-            "turbines": (
-                ("flight", "time"),
-                turbines,
-                {"units": "m", "long_name": "from a turbine to the nearest link"},
             ),
             "lost_time": ("flight", lost_times, {"units": "s", "long_name": "when the flight was lost; NaN if not"}),
         },
@@ -120,25 +108,6 @@ def clearance_of(robot: Any, plume_length: float) -> tuple[ca.Function, list[str
     return _at_posture("clearance", tree, least), jets
 
 
-def turbines_of(robot: Any) -> ca.Function:
-    """Return the distances from turbines, links on a jet's frame, to other links [m] as a function of the joints.
-
-    Pairs that no joint moves relative to each other are left out.
-    """
-    tree = Kinematics(robot)
-    carried = {jet.frame for jet in robot.jets}
-    links = [(link, around(tree, link)) for link in robot.aero_links]
-    between = [
-        turbine.distance(other)
-        for index, (link, turbine) in enumerate(links)
-        for place, (second, other) in enumerate(links)
-        if link.frame in carried and place != index and (place > index or second.frame not in carried)
-    ]
-    distances = _at_posture("turbines", tree, between)
-    changes = np.abs((distances(np.zeros(robot.n_joints)) - distances(np.linspace(0.1, 0.2, robot.n_joints))).full())
-    return _at_posture("turbines", tree, [between[index] for index in np.flatnonzero(changes[:, 0] > TINY)])
-
-
 def _at_posture(name: str, tree: Kinematics, values: list[ca.SX]) -> ca.Function:
     """Return values that do not depend on the pose of the base, by the joints."""
     (here,) = tree.evaluate_at_base(ca.vertcat(*values))
@@ -148,7 +117,7 @@ def _at_posture(name: str, tree: Kinematics, values: list[ca.SX]) -> ca.Function
 
 
 def figures(dataset: xr.Dataset) -> dict[str, dict[str, float]]:
-    """Return, by flight, fuel, fuel mass for five minutes at the mean rate, and least distances."""
+    """Return, by flight, fuel, fuel mass for five minutes at the mean rate, and the least clearance."""
     found = {}
     for name in dataset["flight"].values.tolist():
         one = dataset.sel(flight=name)
@@ -158,6 +127,5 @@ def figures(dataset: xr.Dataset) -> dict[str, dict[str, float]]:
             "fuel_l": litres,
             "five_minutes_kg": litres / seconds * 300.0 * Choice().fuel_density,
             "clearance_mm": 1e3 * float(one["clearance"].min()),
-            "turbines_mm": 1e3 * float(one["turbines"].min()),
         }
     return found

@@ -12,8 +12,6 @@ import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import jax
@@ -24,14 +22,10 @@ from numpy.typing import NDArray
 
 from experiments.identity import Identity
 from experiments.study import Findings, Study
-from experiments.sweep import spec
-from experiments.sweep.design import Design
-from experiments.sweep.keys import set_all
 from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import plain, tables
-from jax_aero.base.cards import card_text, write_card
-from jax_aero.base.result import LOST
+from jax_aero.base.cards import card_text
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.robot import load_robot
 from jax_aero.control.law.policy_card import make_card
@@ -65,10 +59,6 @@ class PolicyConfig(tables.Table, frozen=True):
     joint_velocity: tables.Positive = 1.0
     """Joint velocity of an action of 1 [rad/s]."""
     seeds: Annotated[tuple[tables.Seed, ...], msgspec.Meta(min_length=1)] = (0, 1, 2)
-    worlds: tuple[Path, ...] = ()
-    """Sweeps of sampled design whose cells the crate flies: as they are, with every policy, and with other values."""
-    others: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
-    """Those values, by name and dotted key."""
     winds: tables.Count = 64
     """Winds in which policies are judged."""
 
@@ -125,31 +115,23 @@ def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
         "processor, flights of judgement": time.process_time() - started - trained,
     }
     texts: dict[str, str | bytes] = {}
-    laws: dict[str, Mapping[str, Any]] = {"alone": {}}
     robot = load_robot(flights[task.experiment]["robot"])
-    with TemporaryDirectory() as folder:  # for the flights in other worlds; the result has the cards too
-        for number, seed in enumerate(seeds):
-            card, weights = make_card(
-                f"seed_{seed}",
-                residual_of(found.policy(number), task, robot.jets.count),
-                robot,
-                description=f"{config.title}: {task.experiment}, seed {seed}.",
-                training={
-                    "task": dataclasses.asdict(task),
-                    "settings": plain.to_builtins(training),
-                    "seed": seed,
-                    "flight": digests[task.experiment],
-                    "mean_reward": float(rewards[f"seed {seed}"].mean()),
-                    "mean_reward_without": float(rewards[task.experiment].mean()),
-                },
-            )
-            path = Path(folder) / f"seed_{seed}.json"
-            write_card(path, card, weights)
-            laws[f"seed {seed}"] = {"controller.policy": {"card": path}}
-            texts |= {f"seed_{seed}.json": card_text(card), f"seed_{seed}.safetensors": weights}
-        laws |= config.others
-        for worlds in config.worlds:
-            summary |= fly_worlds(worlds, laws)
+    for number, seed in enumerate(seeds):
+        card, weights = make_card(
+            f"seed_{seed}",
+            residual_of(found.policy(number), task, robot.jets.count),
+            robot,
+            description=f"{config.title}: {task.experiment}, seed {seed}.",
+            training={
+                "task": dataclasses.asdict(task),
+                "settings": plain.to_builtins(training),
+                "seed": seed,
+                "flight": digests[task.experiment],
+                "mean_reward": float(rewards[f"seed {seed}"].mean()),
+                "mean_reward_without": float(rewards[task.experiment].mean()),
+            },
+        )
+        texts |= {f"seed_{seed}.json": card_text(card), f"seed_{seed}.safetensors": weights}
     dataset = to_dataset(seeds, [curve.reward for curve in found.curves], winds, rewards, found.policies)
     dataset.attrs["ticks_per_step"] = training.batch * training.ticks
     return Findings(config.title, dataset, summary, flights=flights, timings=timings, texts=texts)
@@ -165,35 +147,6 @@ STUDY = Study(
     resumes=True,
 )
 main = STUDY.main
-
-
-def fly_worlds(path: Path, laws: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """Return medians over the worlds of rms errors, and their ratio to the first law's, with its 95 % interval."""
-    worlds = Design(spec.load(str(path)))
-    cells = []
-    for number in range(len(worlds.cells)):
-        config = worlds.cell_config(number)
-        worlds.perturb(config, number)
-        cells.append(config)
-    found: dict[str, float] = {}
-    firsts: dict[str, NDArray[np.float64]] = {}
-    for law, changes in laws.items():
-        flown = rust.fly_batch([set_all(config, changes) for config in cells], threads=1)
-        found[f"{path.stem}, {law}, lost"] = sum(one.outcome in LOST for one in flown)
-        for figure in ("rms_rotation_error", "rms_com_error"):
-            values = np.array([one.summary[figure] for one in flown])
-            first = firsts.setdefault(figure, values)
-            draws = np.random.default_rng(1).integers(values.size, size=(DRAWS, values.size))
-            ratios = np.median(values[draws] / first[draws], axis=1)
-            found[f"{path.stem}, {law}, {figure}"] = float(np.median(values))
-            if law != "alone":
-                low, high = np.percentile(ratios, [2.5, 97.5])
-                found |= {
-                    f"{path.stem}, {law}, {figure}, ratio": float(np.median(values / first)),
-                    f"{path.stem}, {law}, {figure}, ratio, low": float(low),
-                    f"{path.stem}, {law}, {figure}, ratio, high": float(high),
-                }
-    return found
 
 
 def draw_winds(seed: int, count: int, task: Task) -> NDArray[np.float64]:

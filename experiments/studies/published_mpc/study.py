@@ -7,7 +7,8 @@ Flight r has wind or push from 45 r degrees. An interrupted study is resumed by 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ import xarray as xr
 from experiments import Refused
 from experiments.identity import Identity
 from experiments.studies.published_mpc import plan
-from experiments.studies.published_mpc.flight import Published, Settings
+from experiments.studies.published_mpc.flight import Published
 from experiments.study import Findings, Study
 from experiments.sweep.intervals import wilson
 from experiments.sweep.perturbation import Perturbation
@@ -59,14 +60,7 @@ CASES = {
     "15 m/s": Case(speed=15.0),
     "20 m/s": Case(speed=20.0),
 }
-PUBLISHED = {
-    "published": Settings(),
-    "published, integrals restart": Settings(accumulate=False),
-    "published, joints within limits": Settings(joint_limits=True),
-    "published, any torque": Settings(torque_limits=False),
-    "published, no engine dynamics": Settings(engine_dynamics=False),
-    "published, linearised once": Settings(relinearise=False),
-}
+PUBLISHED = "published"
 STIFF = {"controller.torque.kp": 2500.0, "controller.torque.kd": 100.0}
 """Joints of the published controller: 50 rad/s, critically damped [1/s², 1/s]."""
 WITHOUT = {
@@ -74,39 +68,24 @@ WITHOUT = {
     "controller.disturbance_observer": False,
     "controller.fault_detection.engines": False,
 }
-OURS: dict[str, tuple[str, dict[str, Any]]] = {
-    "recommended": ("mk3_min_jerk", {}),
-    "predictive": ("mk3_min_jerk_mpc", {}),
-    "predictive, no air, no observer": ("mk3_min_jerk_mpc", WITHOUT),
-}
-"""Experiment and changes of our controllers."""
-VARIANTS = {
-    "published, integrals restart": ("10 m/s",),
-    "published, joints within limits": ("10 m/s",),
-    "published, any torque": ("push of 300 N m",),
-    "published, no engine dynamics": ("still air",),
-    "published, linearised once": ("still air",),
-    "predictive, no air, no observer": ("still air", "5 m/s", "10 m/s", "15 m/s", "20 m/s"),
-}
-"""Cases of those that do not fly all."""
+OURS = {"recommended": "mk3_min_jerk", "predictive": "mk3_min_jerk_mpc"}
+"""Experiments of our controllers."""
 
 
 class Compared(tables.Table, frozen=True):
     """Flights to fly."""
 
-    controllers: tuple[str, ...] = (*PUBLISHED, *OURS)
+    controllers: tuple[str, ...] = (PUBLISHED, *OURS)
     cases: tuple[str, ...] = tuple(CASES)
     flights: tables.Count = 40
     """Flights a case of the recommended and the predictive controller."""
     published_flights: tables.Count = 8
     """Flights a case of the published controller."""
-    variant_flights: tables.Count = 4
-    """Flights a case of variants."""
     duration: tables.Positive = 26.0
     """[s]; a push takes 6 s."""
 
     def __post_init__(self) -> None:
-        for key, known in (("controllers", (*OURS, *PUBLISHED)), ("cases", CASES)):
+        for key, known in (("controllers", (*OURS, PUBLISHED)), ("cases", CASES)):
             tables.check_levels(self, key)
             for name in getattr(self, key):
                 if name not in known:
@@ -115,10 +94,10 @@ class Compared(tables.Table, frozen=True):
 
 def compute(_: str, asked: Compared, work: Work) -> Findings:
     """Fly what is not flown yet, and make the table."""
-    bases = {base: rust.load_config(base) for base, _ in OURS.values()}
+    bases = {base: rust.load_config(base) for base in OURS.values()}
     work = work.narrowed(Identity.of({name: rust.config_digest(one) for name, one in bases.items()}, [PERTURBATION]))
     flown: dict[str, list[Any]] = {}
-    for controller, case in cells(asked):
+    for case, controller in product(asked.cases, asked.controllers):
         name = f"{controller} | {case}"
         flights = work.read_json(name)
         if flights is None:
@@ -145,19 +124,10 @@ STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), backend="ru
 main = STUDY.main
 
 
-def cells(asked: Compared) -> Iterator[tuple[str, str]]:
-    """Yield controllers and cases."""
-    for case in asked.cases:
-        for controller in asked.controllers:
-            if case in VARIANTS.get(controller, asked.cases):
-                yield controller, case
-
-
 def configure(controller: str, case: Case, repeat: int, duration: float) -> rust.Config:
     """Return the perturbed configuration of a flight."""
-    base, changes = OURS.get(controller, (EXPERIMENT, {}))
     direction = 45.0 * (repeat % 8)
-    settings = {"simulator.duration": PUSHED if case.is_push else duration, **changes}
+    settings = {"simulator.duration": PUSHED if case.is_push else duration}
     settings["wind.velocity"] = wind_from(case.speed, direction)
     if case.is_push:
         push = {"force": wind_from(case.force, direction), "moment": wind_from(case.moment, direction)}
@@ -167,25 +137,24 @@ def configure(controller: str, case: Case, repeat: int, duration: float) -> rust
         ramp = {"ramp_start": 5.0, "ramp_end": 10.0}
         settings["wind"] = {"profile": "turbulent", "velocity": settings.pop("wind.velocity"), "std": std, **ramp}
         settings["wind"]["time_scale"] = 2.0
-    if controller in PUBLISHED:
+    if controller == PUBLISHED:
         settings["controller.time_step"] = plan.PERIOD  # with engines of its own
         settings |= WITHOUT | STIFF  # of the configuration's controller only set-point and these gains count
     else:
         settings["simulator.jets.dynamics"] = "throttled"
-    config = rust.load_config(base, settings)
+    config = rust.load_config(OURS.get(controller, EXPERIMENT), settings)
     tables.load(PERTURBATION, Perturbation).apply(config, 0, repeat, rust.Robot(config["robot"]))
     return rust.resolve_config(config)
 
 
 def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, str, float, float]]:
     """Return whether a flight completed, outcome, rotation error [deg] and CoM error [m] of the flights of a cell."""
-    counts = {"published": asked.published_flights} | dict.fromkeys(VARIANTS, asked.variant_flights)
-    count = counts.get(controller, asked.flights)
+    count = asked.published_flights if controller == PUBLISHED else asked.flights
     asked_for = [configure(controller, case, repeat, asked.duration) for repeat in range(count)]
     if controller in OURS:
         flown = rust.fly_batch(asked_for, 1)
     else:
-        flown = [rust.Flight(config, controller=Published(config, PUBLISHED[controller])).run() for config in asked_for]
+        flown = [rust.Flight(config, controller=Published(config)).run() for config in asked_for]
     return [
         (
             int(one.outcome == "completed"),

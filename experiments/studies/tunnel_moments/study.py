@@ -3,10 +3,8 @@
 Each model is evaluated at the measured points of iRonCub-Mk1, with the forces at the links' centres and at the points
 of the published code, and compared with the measured moment about the centre of mass, for both possible sides of the
 balance centre. Intervals are computed by drawing postures with replacement, and the balance centre within its tolerance
-once for each campaign and mount. Two models are also corrected by the points of the robot alone
-(`correction.py`) and tested on postures, and on a mount, that the correction did not use. The result
-goes to `results/tunnel_moments/mk1/`; `jax-aero figures tunnel_moments` draws it. Needs
-`results/datasets/tunnel_mk1.nc` of `import-tunnel`.
+once for each campaign and mount. The result goes to `results/tunnel_moments/mk1/`; `jax-aero figures tunnel_moments`
+draws it. Needs `results/datasets/tunnel_mk1.nc` of `import-tunnel`.
 """
 
 from __future__ import annotations
@@ -24,17 +22,14 @@ from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
 from experiments.data import tunnel
 from experiments.data.import_cfd import OUT
 from experiments.data.ironcub import joint_position
-from experiments.studies.tunnel_moments.correction import Points, columns, held_out_errors
 from experiments.study import Findings, Study
-from jax_aero.aero.dataset import Floats, tunnel_from_base, wind_direction
-from jax_aero.aero.posture import link_frames, rms_by_posture, total_wrench, vector_rms
+from jax_aero.aero.dataset import Floats, tunnel_from_base
+from jax_aero.aero.posture import link_frames, vector_rms
 from jax_aero.base import run_file, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import RobotModel, load_robot
 
 NOTHING = "no moment"
-CORRECTED = ("axisymmetric, corrected", "network, shipped")
-"""Models that are corrected by the tunnel."""
 ARMS, SIDES = ("corrected arms", "published arms"), ("below", "above")
 GROUPS = ("hovering", "flight", "all")
 DRAWS, SEED = 1000, 1
@@ -54,9 +49,8 @@ def compute(_: str, config: MomentsConfig) -> Findings:
     data, robot = read(config.dataset), load_robot(ROBOT)
     areas = model_areas(robot, data)
     result = compare_moments(robot, data, areas)
-    figures = summary(result) | corrections(robot, data, areas)
     inputs = {"draws": DRAWS, "seed": SEED, "points": result.sizes["point"]}
-    return Findings("Models' moments beside the wind tunnel", result, figures, inputs=inputs, files=MODEL_FILES)
+    return Findings("Models' moments beside the wind tunnel", result, summary(result), inputs=inputs, files=MODEL_FILES)
 
 
 STUDY = Study("tunnel_moments", __doc__, MomentsConfig, compute, ("mk1",), backend="jax")
@@ -221,54 +215,3 @@ def summary(result: xr.Dataset) -> dict[str, float]:
                     value = float(chosen["predicted"].sel(model=name, arms=arms, axis=axis).mean()) * NEWTON_METRES
                     found[f"hovering at 90 deg, {campaign}, {axis}, {name}, {arms} [N m]"] = value
     return found
-
-
-def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> dict[str, float]:
-    """Return errors of models, and of models corrected by the tunnel on points that the correction did not use."""
-    alone = data["robot_only"].values == 1
-    data = data.isel(point=alone)
-    posture, kind = data["posture"].values, data["kind"].values
-    joints, wind = data["joint_position"].values, wind_direction(data["pitch"].values, data["yaw"].values)
-    found: dict[str, float] = {}
-    for name in CORRECTED:
-        of_links = areas[name][alone]
-        modelled = np.concatenate(total_wrench(robot, joint_position(robot, joints), of_links), axis=1)
-        steps = columns(robot, joints, wind, of_links)
-        for side in SIDES:
-            measured = np.concatenate([data["force_area"].values, moment_about_com(data, side)], axis=1)
-            points = Points(steps, measured - modelled, posture)
-            errors = {
-                "as it is": points.missing,
-                "corrected by other postures": held_out_errors(points, posture),
-                "corrected by the other mount": held_out_errors(points, kind),
-                "balance centre moved instead": held_out_errors(points._replace(columns=lever_columns(data)), posture),
-            }
-            for group in GROUPS:
-                rows = np.ones(len(kind), dtype=bool) if group == "all" else kind == group
-                for quantity, part, unit in (("force", slice(0, 3), "N"), ("moment", slice(3, 6), "N m")):
-                    chosen = [error[rows, part] * NEWTON_METRES for error in errors.values()]
-                    drawn = rms_by_posture(chosen, posture[rows], DRAWS, SEED)
-                    added = drawn - drawn[:, :1]
-                    for way, error, values, more in zip(errors, chosen, drawn.T, added.T, strict=True):
-                        key = f"{group}, centre {side}, {name}, {way}: {quantity}"
-                        found[f"{key}, rms [{unit}]"] = vector_rms(error)
-                        found |= {f"{key}, {text}": x for text, x in _ends(values)}
-                        if way != "as it is":
-                            found |= {f"{key}, added, {text}": x for text, x in _ends(more)}
-    return found
-
-
-def lever_columns(data: xr.Dataset) -> Floats:
-    """Return how a one-sigma error of the balance centre, by mount and axis, changes the errors (N, 6, 6)."""
-    kinds, force = data["kind"].values, data["force_area"].values
-    found = np.zeros((len(kinds), 6, 6))
-    for place, kind in enumerate(("hovering", "flight")):
-        rows = kinds == kind
-        moved = (tunnel.base_from_balance("mk1", kind) * tunnel.LEVERS[kind, "below"].deviation).T
-        found[rows, 3:, 3 * place : 3 * place + 3] = -np.cross(moved, force[rows, None]).swapaxes(1, 2)
-    return found
-
-
-def _ends(values: Floats) -> list[tuple[str, float]]:
-    low, high = np.quantile(values, ENDS)
-    return [("2.5 %", float(low)), ("97.5 %", float(high))]
