@@ -127,7 +127,7 @@ main = STUDY.main
 def configure(controller: str, case: Case, repeat: int, duration: float) -> rust.Config:
     """Return the perturbed configuration of a flight."""
     direction = 45.0 * (repeat % 8)
-    settings = {"simulator.duration": PUSHED if case.is_push else duration}
+    settings: dict[str, Any] = {"simulator.duration": PUSHED if case.is_push else duration}
     settings["wind.velocity"] = wind_from(case.speed, direction)
     if case.is_push:
         push = {"force": wind_from(case.force, direction), "moment": wind_from(case.moment, direction)}
