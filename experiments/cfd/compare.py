@@ -1,17 +1,16 @@
-"""Compare our simulations with models, with those of others, and with the tunnel: `jax-aero cfd compare NAME`.
+"""Compare our simulations with models and with those of others: `jax-aero cfd compare NAME`.
 
 NAME is a design of `jax-aero cfd`. Its rows are compared with the project's models and, on left-out postures, with the
 network that `train NAME` made of them. With `--set table=FILE`, a dataset of `import-cfd`, all are also compared on
-rows of equal posture and wind; with the points of the tunnel only the open solver is compared. Cases and mirror images
-that are one case are averaged first, in both datasets.
+rows of equal posture and wind. Cases and mirror images that are one case are averaged first, in both datasets.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -24,33 +23,15 @@ from experiments.data.import_cfd import POSTURES
 from experiments.data.ironcub import LINKS
 from experiments.study import Findings, Study
 from experiments.training.result import held_out_network, training_of
-from jax_aero.aero.dataset import Dataset, Floats, Indices, load, tunnel_from_base
+from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.posture import total_wrench, vector_rms
-from jax_aero.base import places, tables
+from jax_aero.base import tables
 from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import RobotModel, load_robot
 
 OPEN = "open solver"
 SHOWN = ("axisymmetric, corrected", "network, shipped")
 """Models of the project that are shown."""
-TUNNEL, CFD = (places.CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
-LARGEST_SIDESLIP = 20.0
-"""Sideslip beyond which the support is exposed to the wind [deg]."""
-MESH, TURBULENCE = "953C", "SST k-omega"
-NEAR = 1.0
-"""Greatest difference in angle between a point of the tunnel and a case [deg]."""
-
-
-class Row(NamedTuple):
-    """One force on the whole robot: direction of the wind [deg], and drag, side and lift area [m²]."""
-
-    source: str
-    posture: str
-    pitch_deg: float
-    yaw_deg: float
-    cda: float
-    csa: float
-    cla: float
 
 
 class CompareConfig(tables.Table, frozen=True):
@@ -69,9 +50,9 @@ def compute(name: str, config: CompareConfig) -> Findings:
     cases = load(path, robot)
     ours = symmetrise(cases)
     summary: dict[str, Any] = {"cases": len(ours), "postures": len(ours.postures)}
-    summary |= asymmetry(robot, cases) | couples(robot, ours) | beside_tunnel(ours)
+    summary |= asymmetry(robot, cases) | couples(robot, ours)
     models = models_at(robot, ours)
-    files = [*MODEL_FILES, POSTURES, TUNNEL, CFD]
+    files = [*MODEL_FILES, POSTURES]
     if (trained := held_out_network(name, cases)) is not None:
         models["network, trained on postures other than the row's"] = trained
         files.append(training_of(name))
@@ -197,49 +178,6 @@ def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:
         f"moment about the centre of mass, {name}, rms [N m at 10 m/s]": NEWTON_METRES * vector_rms(value)
         for name, value in names.items()
     }
-
-
-def beside_tunnel(data: Dataset) -> dict[str, float]:
-    """Return drag, side and lift area beside the points of the tunnel, and of simulations with its support.
-
-    Points of several tests are averaged.
-    """
-    totals = np.einsum("nij,nj->ni", tunnel_from_base(data.pitch_deg, data.yaw_deg), data.force_area_b.sum(axis=1))
-    tests: dict[tuple[str, str, float, float], list[Row]] = {}
-    for row in table_rows():
-        tests.setdefault(row[:4], []).append(row)
-    found: dict[str, float] = {}
-    for (source, posture, pitch, yaw), rows in tests.items():
-        cda, csa, cla = np.mean([row[4:] for row in rows], axis=0)
-        near = np.hypot(data.pitch_deg - pitch, data.yaw_deg - yaw) < NEAR
-        for drag, side, lift in totals[near & (data.posture == posture)]:
-            name = f"{posture} {pitch:.0f}/{yaw:.0f}"
-            found |= {f"{name}: drag [m2]": drag, f"{name}: drag over that of the {source}": drag / cda}
-            found |= {f"{name}: lift less that of the {source} [m2]": lift - cla}
-            found |= {f"{name}: side less that of the {source} [m2]": side - csa}
-    return found
-
-
-def table_rows() -> Iterator[Row]:
-    """Yield the records of the typed tables that can be compared with a model of the robot alone."""
-    tunnel = tables.read(TUNNEL)
-    for table in tunnel["hovering"]:
-        for yaw, *areas in zip(table["beta_deg"], *_areas(table), strict=True):
-            if abs(yaw) <= LARGEST_SIDESLIP:
-                yield Row("tunnel", "hovering", 90.0, yaw, *areas)
-    for table in tunnel["flight"]:
-        for pitch, *areas in zip(table["alpha_deg"], *_areas(table), strict=True):
-            yield Row("tunnel", table["posture"], pitch, 0.0, *areas)
-    for table in tables.read(CFD)["run"]:
-        if (table["mesh"], table["turbulence"]) != (MESH, TURBULENCE):
-            continue
-        for pitch, yaw, *areas in zip(table["alpha_deg"], table["beta_deg"], *_areas(table), strict=True):
-            if abs(yaw) <= LARGEST_SIDESLIP:
-                yield Row("cfd", table["posture"], pitch, yaw, *areas)
-
-
-def _areas(table: Mapping[str, Any]) -> list[list[float]]:
-    return [table[name] for name in ("cda", "csa", "cla")]
 
 
 def to_rows(models: Mapping[str, Floats], there: Dataset) -> xr.Dataset:

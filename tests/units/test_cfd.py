@@ -661,43 +661,6 @@ def test_the_wake_is_where_air_is_slow_and_counts_by_area(monkeypatch, agree):
         flow.compute("", config)
 
 
-def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(collected, monkeypatch, agree):
-    """Of the robot's 13 links each has 0.01 m² back, 0.002 m² to the right and 0.005 m² up; other rows have three times
-    as much. Two tests of one wind have 0.1 m² of drag in the mean.
-    """
-    scale = np.where((collected.posture == "hovering") & (collected.pitch_deg == 90.0), 1.0, 3.0)
-    areas = np.broadcast_to([0.01, 0.002, 0.005], collected.force_area_b.shape)
-    collected = dataclasses.replace(collected, force_area_b=scale[:, None, None] * areas)
-    row = compare.Row("tunnel", "hovering", 90.0, 0.9, cda=0.08, csa=0.02, cla=0.03)
-    rows = [row, row._replace(yaw_deg=2.0), row._replace(cda=0.12)]
-    monkeypatch.setattr(compare, "table_rows", lambda: iter(rows))
-    found = compare.beside_tunnel(collected)
-    assert [name.split(":")[0] for name in found] == ["hovering 90/1"] * 4
-    assert [name.split()[2] for name in found] == ["drag", "drag", "lift", "side"]
-    agree("areas", list(found.values()), [0.13, 1.3, 0.065 - 0.03, 0.026 - 0.02], 1e-12)
-
-
-def test_rows_beside_a_case_have_the_areas_of_their_tables_without_the_support(monkeypatch):
-    areas = {"cda": [1.0, 9.0], "csa": [2.0, 9.0], "cla": [3.0, 9.0]}
-    simulated = {"posture": "flight30", "mesh": compare.MESH, "turbulence": compare.TURBULENCE}
-    tables_of = {
-        compare.TUNNEL: {
-            "hovering": [{"beta_deg": [-20.0, 30.0], **areas}],
-            "flight": [
-                {"posture": "flight60", "alpha_deg": [45.0], **{name: area[:1] for name, area in areas.items()}}
-            ],
-        },
-        compare.CFD: {"run": [{**simulated, "alpha_deg": [60.0, 60.0], "beta_deg": [10.0, 30.0], **areas}]},
-    }
-    tables_of[compare.CFD]["run"].append(tables_of[compare.CFD]["run"][0] | {"mesh": "another"})
-    monkeypatch.setattr(compare.tables, "read", tables_of.get)
-    assert list(compare.table_rows()) == [
-        compare.Row("tunnel", "hovering", 90.0, -20.0, cda=1.0, csa=2.0, cla=3.0),
-        compare.Row("tunnel", "flight60", 45.0, 0.0, cda=1.0, csa=2.0, cla=3.0),
-        compare.Row("cfd", "flight30", 60.0, 10.0, cda=1.0, csa=2.0, cla=3.0),
-    ]
-
-
 @pytest.mark.parametrize("name", ["open", "mk3"])
 def test_a_shipped_dataset_has_accepted_cases_of_its_design_alone(name):
     """Cases of other settings, or ones that its tests refuse, would go unnoticed into every model."""
