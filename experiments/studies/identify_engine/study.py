@@ -2,8 +2,7 @@
 
 `jax-aero study identify_engine NAME --set bench=FILE` reads a dataset of `jax-aero data import-bench` with speeds of
 the shaft, thrusts, or both, and identifies an engine of the shaft's speed (M176, `shaft`), and M32 (`throttled`)
-beside it from the thrusts. `span` is the time of the run. Every 5 s of it are also predicted by the fit to the rest,
-and with `test` another run, from its first sample.
+beside it from the thrusts. `span` is the time of the run. Every 5 s of it are also predicted by the fit to the rest.
 
 The result goes to `results/identify_engine/NAME/`.
 """
@@ -37,9 +36,6 @@ class EngineLogs(tables.Table, frozen=True):
     """Dataset of `jax-aero data import-bench`, without which nothing is identified."""
     span: Interval | None = None
     """Times between which the engine runs [s]; by default the whole log."""
-    test: Path | None = None
-    """Another run of the engine, of which nothing is identified."""
-    test_span: Interval | None = None
     density: Positive = DENSITY
     """Density of the air on the bench [kg/m³]."""
     temperature: Positive = TEMPERATURE
@@ -51,16 +47,11 @@ def compute(name: str, logs: EngineLogs) -> Findings:
     if logs.bench is None:
         raise Refused("there is no log; expected --set bench=FILE, a dataset of `jax-aero data import-bench`")
     ambient = Ambient.of(logs.density, logs.temperature)
-    given = ((logs.bench, logs.span), (logs.test, logs.test_span))
-    benches = [(load_bench(path), span) for path, span in given if path]
-    runs = [
-        shaft.sample(bench, (span.lower, span.upper) if span else (bench.time[0], bench.time[-1]), ambient)
-        for bench, span in benches
-    ]
-    run = runs[0]
+    bench, span = load_bench(logs.bench), logs.span
+    run = shaft.sample(bench, (span.lower, span.upper) if span else (bench.time[0], bench.time[-1]), ambient)
     fitted = shaft.identify(run)
     full = fitted.numbers["thrust_max"]
-    summary: dict[str, Any] = {"sha256 of the log": benches[0][0].sha256, **shaft.listing(run, fitted)}
+    summary: dict[str, Any] = {"sha256 of the log": bench.sha256, **shaft.listing(run, fitted)}
     summary |= shaft.errors(run, fitted.speed, fitted.thrust, full, "simulated")
     summary |= shaft.errors(run, run.speed, fitted.thrust_of_speed, full, "of the measured speed")
     speed, thrust = fitted.held_out
@@ -71,12 +62,6 @@ def compute(name: str, logs: EngineLogs) -> Findings:
         for label, thrust in (("M32", whole), ("M32, each 5 s predicted by the rest", held_out)):
             summary |= shaft.errors(run, np.nan * thrust, thrust, full, label)
         signals["thrust_second_order"] = whole
-    for other in runs[1:]:
-        with jax.enable_x64(True):
-            speed, thrust, of_speed = (np.asarray(part) for part in shaft.predict(other, fitted.numbers))
-        # Speeds of both are shares of their own full speed; a test is of the same engine.
-        summary |= shaft.errors(other, speed, thrust, full, "test, predicted")
-        summary |= shaft.errors(other, other.speed, of_speed, full, "test, of the measured speed")
     signals |= {key: getattr(run, key) for key in ("wanted", "throttle", "speed", "thrust", "drift")}
     data = xr.Dataset({key: (("time",), value) for key, value in signals.items()}, {"time": run.time})
     return Findings(f"Engine {name} identified on a bench", data, summary)

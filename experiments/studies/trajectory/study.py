@@ -98,61 +98,43 @@ def to_dataset(
 
     Time zero is the beginning of the motion.
     """
-    offset = config.start_time
-    quantities: dict[str, tuple[str, str, str]] = {
+    quantities = {
         "com_position": ("xyz", "m", "centre of mass, inertial frame"),
         "com_velocity": ("xyz", "m s-1", "its velocity"),
+        "acceleration": ("xyz", "m s-2", "acceleration"),
+        "jerk": ("xyz", "m s-3", "jerk"),
         "base_rpy": ("rpy", "rad", "base attitude: planned, or the reference's"),
+        "joint_position": ("joint", "rad", "joint position"),
         "thrust": ("jet", "N", "thrust of each jet"),
+        "com_error": ("", "m", "distance of the centre of mass from its reference"),
+        "rotation_error": ("", "rad", "angle between base and reference"),
+        "fuel": ("", "l", "fuel burnt since it began to move"),
     }
+    of_com = ("com_position", "com_velocity", "acceleration", "jerk")
     signals: dict[str, dict[str, Any]] = {
         "plan": {
             "time": plan.time,
-            "com_position": plan.com[:, 0],
-            "com_velocity": plan.com[:, 1],
-            "base_rpy": plan.base_rpy,
-            "thrust": plan.thrust,
+            **dict(zip(of_com, np.moveaxis(plan.com, 1, 0), strict=True)),
+            **{key: getattr(plan, key) for key in ("base_rpy", "joint_position", "thrust")},
         }
     }
     for name, flight in (("flown", flown), ("paper", paper)):
         log = flight.log
         signals[name] = {
-            "time": log["time"] - offset,
+            "time": log["time"] - config.start_time,
             **{key: log[key] for key in ("com_position", "com_velocity", "thrust", "rotation_error")},
             "base_rpy": log["base_rpy_setpoint"],
             "com_error": np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1),
         }
     variables: dict[str, Any] = {}
     for name, group in signals.items():
-        time_name = f"time_{name}"
-        for key, (dim, units, text) in quantities.items():
-            variables[f"{key}_{name}"] = (
-                (time_name, dim),
-                group[key],
-                {"units": units, "long_name": f"{name}: {text}"},
-            )
-        for key, units, text in (
-            ("com_error", "m", "distance of the centre of mass from its reference"),
-            ("rotation_error", "rad", "angle between base and reference"),
-        ):
-            if key in group:
-                variables[f"{key}_{name}"] = (time_name, group[key], {"units": units, "long_name": f"{name}: {text}"})
         burnt = fuel_burnt(group["time"], group["thrust"], *fuel_lines(load_fuel(config.fuel), robot))
-        variables[f"fuel_{name}"] = (
-            time_name,
-            burnt - np.interp(0.0, group["time"], burnt),
-            {"units": "l", "long_name": f"{name}: fuel burnt since it began to move"},
-        )
-    for key, value, units in (
-        ("acceleration_plan", plan.com[:, 2], "m s-2"),
-        ("jerk_plan", plan.com[:, 3], "m s-3"),
-    ):
-        variables[key] = (("time_plan", "xyz"), value, {"units": units, "long_name": f"plan: {key.split('_')[0]}"})
-    variables["joint_position_plan"] = (
-        ("time_plan", "joint"),
-        plan.joint_position,
-        {"units": "rad", "long_name": "plan: joint position"},
-    )
+        group["fuel"] = burnt - np.interp(0.0, group["time"], burnt)
+        for key, (dim, units, text) in quantities.items():
+            if key not in group:
+                continue
+            about = {"units": units, "long_name": f"{name}: {text}"}
+            variables[f"{key}_{name}"] = (f"time_{name}", dim) if dim else f"time_{name}", group[key], about
     coords: dict[str, Any] = {
         f"time_{name}": (f"time_{name}", g["time"], {"units": "s"}) for name, g in signals.items()
     }

@@ -215,53 +215,35 @@ def _feasible_speed(dataset: xr.Dataset) -> float:
 def _map_dataset(
     trim: Trim, found: dict[tuple[str, int, int], TrimResult], speeds: Sequence[float], directions: Sequence[float]
 ) -> xr.Dataset:
-    robot = trim.model.robot
+    robot, grid = trim.model.robot, ("objective", "direction", "speed")
     shape = (len(OBJECTIVES), len(directions), len(speeds))
-    grid = ("objective", "direction", "speed")
+    cells = [found[objective, d, s] for objective in OBJECTIVES for d in range(shape[1]) for s in range(shape[2])]
 
-    def gather(value: Any, *size: int, dtype: Any = float) -> Any:
-        rows = [
-            value(found[objective, d, s]) for objective in OBJECTIVES for d in range(shape[1]) for s in range(shape[2])
-        ]
-        return np.array(rows, dtype=dtype).reshape(*shape, *size)
+    def of_trim(name: str) -> list[float]:
+        return [getattr(cell, name) if cell.feasible else np.nan for cell in cells]
 
-    variables = {
-        "feasible": (grid, gather(lambda r: r.feasible, dtype=np.int8), {"units": "1", "long_name": "a trim exists"}),
-        "margin": (
-            grid,
-            gather(lambda r: r.margin if r.feasible else np.nan),
-            {"units": "1", "long_name": "least distance of a thrust from 0 and from its greatest, over its greatest"},
-        ),
-        "total_thrust": (
-            grid,
-            gather(lambda r: r.total_thrust if r.feasible else np.nan),
-            {"units": "N", "long_name": "sum of the thrusts"},
-        ),
-        "clearance": (
-            grid,
-            gather(lambda r: r.clearance),
-            {"units": "m", "long_name": "least distance from the axis of a jet to the surface of a link"},
-        ),
-        "base_rpy": ((*grid, "rpy"), gather(lambda r: r.base_rpy, 3), {"units": "rad", "long_name": "base attitude"}),
-        "joint_position": (
-            (*grid, "joint"),
-            gather(lambda r: r.joint_position, robot.n_joints),
-            {"units": "rad", "long_name": "joint position"},
-        ),
-        "thrust": ((*grid, "jet"), gather(lambda r: r.thrust, len(robot.jets)), {"units": "N", "long_name": "thrust"}),
-        "aero_force": (
-            (*grid, "xyz"),
-            gather(lambda r: r.aero_force, 3),
-            {"units": "N", "long_name": "total aerodynamic force, inertial axes"},
-        ),
-        "solve_time": (grid, gather(lambda r: r.solve_time), {"units": "s", "long_name": "wall time of the solver"}),
-        "violated": (
-            grid,
-            gather(lambda r: r.violations[0].constraint if r.violations else "", dtype=str),
-            {"long_name": "constraint that is missed by most where there is no trim"},
-        ),
-        "weight": ((), robot.mass * robot.gravity, {"units": "N", "long_name": "weight"}),
+    def of_cell(name: str) -> list[Any]:
+        return [getattr(cell, name) for cell in cells]
+
+    reserve = "least distance of a thrust from 0 and from its greatest, over its greatest"
+    missed = [cell.violations[0].constraint if cell.violations else "" for cell in cells]
+    quantities: dict[str, tuple[str, Any, str, str]] = {
+        "feasible": ("", np.array(of_cell("feasible"), np.int8), "1", "a trim exists"),
+        "margin": ("", of_trim("margin"), "1", reserve),
+        "total_thrust": ("", of_trim("total_thrust"), "N", "sum of the thrusts"),
+        "clearance": ("", of_cell("clearance"), "m", "least distance from the axis of a jet to the surface of a link"),
+        "base_rpy": ("rpy", of_cell("base_rpy"), "rad", "base attitude"),
+        "joint_position": ("joint", of_cell("joint_position"), "rad", "joint position"),
+        "thrust": ("jet", of_cell("thrust"), "N", "thrust"),
+        "aero_force": ("xyz", of_cell("aero_force"), "N", "total aerodynamic force, inertial axes"),
+        "solve_time": ("", of_cell("solve_time"), "s", "wall time of the solver"),
+        "violated": ("", missed, "", "constraint that is missed by most where there is no trim"),
     }
+    variables: dict[str, Any] = {"weight": ((), robot.mass * robot.gravity, {"units": "N", "long_name": "weight"})}
+    for name, (dim, rows, unit, text) in quantities.items():
+        values = np.array(rows)
+        about = {"long_name": text} | ({"units": unit} if unit else {})
+        variables[name] = ((*grid, dim) if dim else grid, values.reshape(*shape, *values.shape[1:]), about)
     coords = {
         "objective": list(OBJECTIVES),
         "direction": (
