@@ -39,7 +39,7 @@ fn moved(state: &State, place: usize, by: f64) -> State {
 /// Over a short knot dynamics and cost change as the expansion says.
 #[test]
 fn the_expansion_is_that_of_differences() {
-    let config = experiment("robot_nonlinear");
+    let config = experiment("robot");
     let mpc = config.controller.law.mpc.clone().unwrap();
     for seed in 0..3 {
         let (robot, mut rng) = (load_robot(&config.robot).unwrap(), rng(seed));
@@ -128,7 +128,7 @@ fn what_cannot_be_planned_is_refused() {
         (|law| law.jet_dynamics = JetDynamics::Ideal, "controller.jet_dynamics is ideal"),
     ];
     for (change, words) in cases {
-        let mut config = experiment("robot_nonlinear");
+        let mut config = experiment("robot");
         change(&mut config.controller.law);
         let robot = load_robot(&config.robot).unwrap();
         assert_says(&config.controller(robot).unwrap_err().to_string(), &[words]);

@@ -38,7 +38,7 @@ fn main() -> Result<(), BuildError> {
         report(title, &tick_times(&common::configuration(name)?)?);
     }
     report("the policy alone", &policy_times()?);
-    let nonlinear = common::without_engine(common::configuration("robot_nonlinear")?);
+    let nonlinear = common::without_engine(common::configuration("robot")?);
     let nonlinear = ("engine lost, nonlinear plan", nonlinear, 18.0);
     for (title, config, from) in common::planned_flights()?.into_iter().chain([nonlinear]) {
         report(&format!("tick that plans, {title}"), &plan_times(&config, from)?);

@@ -204,7 +204,7 @@ fn a_tick_of_a_flight_does_not_allocate() {
         config.controller.law.wind_observer = true;
         config.simulator.duration = 1.0;
     });
-    let falling = with("robot_nonlinear", |config| {
+    let falling = with("robot", |config| {
         config.simulator.duration = 1.0;
         config.disturbances.jets.failure =
             Some(JetFailure { jet: "l_arm_jet".into(), time: 0.3, kind: FailureKind::Off, decay: 0.0 });

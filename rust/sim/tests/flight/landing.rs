@@ -12,7 +12,7 @@ const FAST: f64 = 28.0;
 
 /// A flight in which a jet stops at once; without the nonlinear plan, distances weigh as much on the way down \[1/m²\].
 fn fly_without(jet: &str, time: f64, of_distances: Option<f64>) -> FlightResult {
-    let config = with(experiment("robot_nonlinear"), |config| {
+    let config = with(experiment("robot"), |config| {
         config.simulator.duration = time + 18.0;
         config.disturbances.jets.failure =
             Some(JetFailure { jet: jet.into(), time, kind: FailureKind::Off, decay: 0.0 });
