@@ -207,7 +207,7 @@ reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write r
 generated: $(PACKAGES) ## write what follows from types and kept results: schemas, types, pages
 	$(BIN)/python -m experiments.generated
 
-verify: $(PACKAGES) ## compare the crate with independent implementations and stored states
+verify: $(PACKAGES) ## compare the crate with independent implementations and stored ticks
 	$(BIN)/jax-aero verify
 	$(BIN)/jax-aero verify --config configs/experiments/test4.toml
 	$(BIN)/python -m pytest tests/parity

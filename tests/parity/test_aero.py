@@ -141,22 +141,3 @@ def test_sphere_and_cylinder_forces_follow_the_published_tables(iron_cub, table,
     scale = aero["air_density"] / aero["dynamic_viscosity"]
     assert min(reynolds) * scale < 200
     assert max(reynolds) * scale > 5e5
-
-
-# --- corners -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", sorted(path.stem for path in AERO.glob("*.toml") if path.stem != "network"))
-def test_wind_along_an_axis_is_the_limit_of_wind_beside_it(iron_cub, name):
-    """Where the printed formula divides zero by zero."""
-    links = len(iron_cub.aero_link_names)
-    aero = load(name)
-    axes = np.tile([0.6, 0.0, 0.8], (links, 1))
-    across = np.array([0.8, 0.0, -0.6])
-    for direction in (-1.0, 1.0):
-        along = rust.aero_forces(iron_cub, aero, axes, 10 * direction * axes)
-        beside = rust.aero_forces(iron_cub, aero, axes, 10 * direction * axes + 1e-7 * across)
-        assert np.all(np.isfinite(along))
-        np.testing.assert_allclose(along, beside, rtol=0, atol=1e-5)
-        np.testing.assert_allclose(np.cross(along, axes), 0, atol=1e-5)
-    assert np.all(rust.aero_forces(iron_cub, aero, axes, np.zeros((links, 3))) == 0)

@@ -3,20 +3,19 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Running, TIME_STEP, assert_within, at, experiment, move_state, random_state, rng};
+use crate::common::{Running, TIME_STEP, assert_within, at, experiment, move_state, rng};
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::detect::engines::EnginesConfig;
 use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig};
-use flight_core::control::law::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
+use flight_core::control::law::contact::{ContactConfig, LoadTransfer, WRENCH_ROWS};
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{Modes, Terms};
-use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::Foot;
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_controller, load_robot};
 use flight_sim::{Scenario, ScenarioConfig};
-use nalgebra::{DMatrix, DVector, Vector3, Vector6};
+use nalgebra::{DVector, Vector3, Vector6};
 use rand::RngExt;
 
 fn standing() -> ScenarioConfig {
@@ -306,131 +305,6 @@ fn wrenches_that_contradict_the_momentum_are_not_believed() {
     }
 }
 
-/// `L̇ = Σ f_c* + Σ f_a − m g e₃` and its moments, at every tick, whatever the state and the wind.
-#[test]
-fn the_momentum_rate_is_the_sum_of_what_acts() {
-    let mut controller = controller(|_| ());
-    let mut rng = rng(3);
-    for _ in 0..40 {
-        let mut state = at_rest();
-        state.joint_position.iter_mut().for_each(|s| *s += rng.random_range(-0.05..0.05));
-        state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
-        let wind = crate::common::random_vector(&mut rng, 15.0);
-        let modes = controller.tick(&measurement(&state, wind, &weight_on_both())).modes;
-        assert_eq!(modes, Modes::default());
-        let terms = controller.terms();
-        let desired = &controller.state().contact().force;
-        let (mut force, mut moment) = terms.link_forces.wrench_about(&terms.kinematics.com);
-        assert!(force.norm() > 0.01);
-        force.z -= terms.kinematics.mass() * 9.81;
-        for (foot, sole) in terms.contact.soles.iter().enumerate() {
-            let f = Vector3::from(desired.fixed_rows::<3>(6 * foot));
-            force += f;
-            moment += Vector3::from(desired.fixed_rows::<3>(6 * foot + 3));
-            moment += (sole.position - terms.kinematics.com).cross(&f);
-        }
-        let rate = terms.momentum.rate_estimate;
-        assert_within!((Vector3::from(rate.fixed_rows::<3>(0)) - force).norm(), 1e-9);
-        assert_within!((Vector3::from(rate.fixed_rows::<3>(3)) - moment).norm(), 1e-9);
-    }
-}
-
-/// `Λ_c ν` is how the moment of held foot forces about the CoM changes; `J_c ν` and `J̇_c ν` are the feet's
-/// velocity and its change: all by central differences along the motion.
-#[test]
-fn rates_of_the_feet_are_their_differences() {
-    let robot = crate::common::robot("ironcub_mk1");
-    let mut rng = rng(4);
-    for _ in 0..20 {
-        let state = random_state(&mut rng, &robot);
-        let mut contact = Contact::new(&contact_config(), &robot);
-        let (mut kinematics, mut dynamics) = (Kinematics::new(&robot), Dynamics::new(&robot));
-        let held = DVector::from_fn(12, |_, _| rng.random_range(-50.0..50.0));
-        let mut at = |time: f64| {
-            let state = move_state(&state, time);
-            kinematics.update(&robot, &state);
-            dynamics.update(&robot, &state, &kinematics);
-            let measured = [Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); 2];
-            let feet = &mut ContactState::new(2);
-            let measured = foot_after_foot(&measured);
-            contact.update(feet, &robot, &kinematics, &dynamics, &measured, 0.0, 0.0, false, 0.0);
-            let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
-            let mut momentum = flight_core::control::law::momentum::MomentumModel::new(&robot);
-            momentum.add_contact(&robot, &kinematics, &dynamics, &contact.soles, &held);
-            let positions: Vec<f64> = contact
-                .soles
-                .iter()
-                .flat_map(|sole| sole.position.iter().copied().collect::<Vec<_>>())
-                .collect();
-            let rate = &momentum.lambda * &state.velocity;
-            (momentum.rate_estimate, rate, velocity, contact.velocity_product.clone(), positions)
-        };
-        let step = 1e-5;
-        let (before, now, after) = (at(-step), at(0.0), at(step));
-        let moment_rate = (after.0 - before.0) / (2.0 * step);
-        assert_within!((moment_rate - now.1).norm(), 1e-5 * (1.0 + now.1.norm()), "{moment_rate} {}", now.1);
-        let acceleration = (&after.2 - &before.2) / (2.0 * step);
-        assert_within!((&acceleration - &now.3).norm(), 1e-6 * (1.0 + now.3.norm()));
-        for foot in 0..2 {
-            for axis in 0..3 {
-                let difference = (after.4[3 * foot + axis] - before.4[3 * foot + axis]) / (2.0 * step);
-                assert_within!((difference - now.2[6 * foot + axis]).abs(), 1e-6);
-            }
-        }
-    }
-}
-
-/// The torque QP is the cost it is said to be: from `M`, `h`, `J_c` and the weights alone, by dense algebra.
-#[test]
-fn the_standing_qp_is_its_definition() {
-    let mut controller = controller(|_| ());
-    let mut rng = rng(5);
-    let mut state = at_rest();
-    state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
-    controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0), &weight_on_both()));
-    let (terms, command) = (controller.terms(), controller.command());
-    let (contact, qp) = (&terms.contact, &terms.torque_qp);
-    let config = contact_config();
-    let n = 29;
-    let inverse = terms.dynamics.mass_matrix.clone().try_inverse().unwrap();
-    let mut b = DMatrix::zeros(n, 35);
-    b.columns_mut(0, 12).copy_from(&contact.jacobian_transposed);
-    for joint in 0..23 {
-        b[(6 + joint, 12 + joint)] = 1.0;
-    }
-    let mut force = -&terms.dynamics.bias;
-    let robot = controller.model();
-    terms.link_forces.add_generalised_force(robot, &terms.kinematics, &mut force);
-    let desired = DVector::from_fn(23, |j, _| -10.0 * (state.velocity[6 + j] - command.joint_velocity[j]));
-    let cost = |u: &DVector<f64>| {
-        let acceleration = &inverse * (&b * u + &force);
-        let feet = contact.jacobian_transposed.tr_mul(&acceleration) + &contact.velocity_product;
-        let joints = acceleration.rows(6, 23) - &desired;
-        let off = u.rows(0, 12) - &controller.state().contact().force;
-        0.5 * (joints.norm_squared()
-            + config.weight_foot_acceleration * feet.norm_squared()
-            + config.weight_force * off.norm_squared()
-            + 0.001 * u.rows(12, 23).norm_squared()
-            + 1e-4 * u.norm_squared())
-    };
-    let zero = cost(&DVector::zeros(35));
-    for _ in 0..50 {
-        let u = DVector::from_fn(35, |i, _| rng.random_range(-1.0..1.0) * if i < 12 { 200.0 } else { 30.0 });
-        let (ours, defined) = (qp.problem.objective(u.as_slice()), cost(&u) - zero);
-        assert_within!((ours - defined).abs(), 1e-8 * defined.abs(), "{ours} {defined}");
-    }
-    // And its answer respects the wrenches in the soles' own axes.
-    for (index, sole) in contact.soles.iter().enumerate() {
-        let wrench = contact.force_of_torques.fixed_rows::<6>(6 * index);
-        let turn = sole.rotation.transpose();
-        let (f, m) = (turn * wrench.fixed_rows::<3>(0), turn * wrench.fixed_rows::<3>(3));
-        let of_sole = Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z);
-        for (row, bound) in config.wrench.rows(&foot()) {
-            assert_within!(row.dot(&of_sole), bound + 1e-6, because "an inequality: the left side may come as near as it likes");
-        }
-    }
-}
-
 /// A foot that is not named is no contact: it adds no unknown, no wrench is expected of it, and the others may
 /// stand in any order.
 #[test]
@@ -457,40 +331,6 @@ fn feet_are_contacts_by_name() {
 
     // Two wrenches for one foot are a bad measurement.
     assert!(first_tick(&mut one, &[left, right]).modes.contains(Modes::MEASUREMENT_IGNORED));
-}
-
-/// The momentum QP on the ground has the rows of the tasks and nothing else: `H` and `g` from their squares.
-#[test]
-fn the_momentum_qp_on_the_ground_is_its_tasks() {
-    let mut controller = controller(|_| ());
-    let mut rng = rng(6);
-    let mut state = at_rest();
-    state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
-    controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0), &weight_on_both()));
-    let terms = controller.terms();
-    let (contact, qp) = (&terms.contact, &terms.momentum_qp);
-    assert_eq!(qp.problem.len(), 35, "wrench rates and joint velocities; jets are not used");
-    let weights = DVector::from_fn(9, |i, _| if i < 6 { 10.0 } else { 150.0 });
-    let task = DMatrix::from_fn(9, 35, |i, j| qp.matrix[(j, i)]);
-    let offset = DVector::from_fn(9, |i, _| qp.offset[i]);
-    let mut feet = DMatrix::zeros(12, 35);
-    for joint in 0..23 {
-        feet.column_mut(12 + joint).copy_from(&contact.jacobian_transposed.row(6 + joint).transpose());
-    }
-    let base = contact.jacobian_transposed.rows(0, 6).tr_mul(&state.velocity.rows(0, 6));
-    let mut h = task.tr_mul(&(DMatrix::from_diagonal(&weights) * &task)) + 150.0 * feet.tr_mul(&feet);
-    let g = task.tr_mul(&weights.component_mul(&offset)) + 150.0 * feet.tr_mul(&base);
-    for i in 0..35 {
-        h[(i, i)] += 1e-4 + if i < 12 { 0.01 } else { 10.0 + 2.5 };
-    }
-    // The posture of the first tick is where the robot is.
-    assert_within!((&h - &qp.problem.h).amax(), 1e-9 * h.amax());
-    assert_within!((&g - &qp.problem.g).amax(), 1e-9 * g.amax());
-    assert_eq!(qp.problem.h, qp.problem.h.transpose(), "exactly symmetric");
-    assert_eq!(controller.command().thrust_rate, DVector::zeros(4));
-    // A_c of the linear rows is the identity, twice.
-    assert_eq!(qp.matrix[(0, 0)], 1.0);
-    assert_eq!(qp.matrix[(8, 2)], 1.0);
 }
 
 /// Both feet above the threshold, or none: `f_c*` starts from what is felt and is zero otherwise.

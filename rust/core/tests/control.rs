@@ -4,8 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, TIME_STEP, assert_within, at, experiment, move_state, random_state, random_vector, rng,
-    robot, tick_at, uniform_estimator,
+    Loop, Running, TIME_STEP, assert_within, at, experiment, rng, robot, tick_at, uniform_estimator,
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::config::Solver;
@@ -41,7 +40,6 @@ fn controller(config: &ScenarioConfig) -> Running {
 pub trait Sample: Sized {
     fn start(config: &ScenarioConfig) -> Self;
     fn tick<'a>(&self, controller: &'a mut Running) -> &'a Command;
-    fn after(&self, time: f64) -> Self;
 }
 
 impl Sample for Measurement {
@@ -55,11 +53,6 @@ impl Sample for Measurement {
 
     fn tick<'a>(&self, controller: &'a mut Running) -> &'a Command {
         controller.tick(self)
-    }
-
-    /// The robot after it has moved on at its present velocity.
-    fn after(&self, time: f64) -> Self {
-        Self { state: move_state(&self.state, time), ..self.clone() }
     }
 }
 
@@ -1129,61 +1122,6 @@ fn torques_overcome_the_friction_of_the_drives() {
         let friction =
             if arm.contains(&joint) { 2.0 * (plain.joint_velocity[joint] / 0.02).tanh() } else { 0.0 };
         assert_within!((more - friction).abs(), 1e-3, "{joint}: {more} for {friction}");
-    }
-}
-
-/// `Λ ν` is how `A_T T + A_a f_a` changes when the robot moves and forces keep their size and, for the
-/// air's, their direction.
-#[test]
-fn lambda_is_the_derivative_of_the_momentum_rate() {
-    const STEP: f64 = 1e-5;
-    let mut config = experiment("test2");
-    let mut rng = rng(5);
-    for pass in 0..50 {
-        // Jets alone, then with the air's forces, whose own change Λ_a neglects: they are held.
-        config.controller.law.aero_feedback.momentum_rate = RateFeedback::None;
-        config.controller.law.aero_feedback.lambda = false;
-        let mut controller = controller(&config);
-        let mut sample = Measurement::start(&config);
-        sample.state = random_state(&mut rng, controller.model());
-        sample.thrust.iter_mut().for_each(|thrust| *thrust = rng.random_range(10.0..150.0));
-        let mut estimate = |time: f64| {
-            sample.after(time).tick(&mut controller);
-            controller.terms().momentum.rate_estimate
-        };
-        let difference = (estimate(STEP) - estimate(-STEP)) / (2.0 * STEP);
-        sample.tick(&mut controller);
-        let lambda = &controller.terms().momentum.lambda * &sample.state.velocity;
-        let size = lambda.amax();
-        let error = (lambda - difference).amax();
-        assert_within!(error, 1e-6 * size, "pass {pass}: {error:e} of {size}");
-    }
-}
-
-/// `Λ_a ν` is the change of the aerodynamic moment about the CoM with forces held.
-#[test]
-fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
-    const STEP: f64 = 1e-6;
-    let config = experiment("test2");
-    let mut rng = rng(6);
-    for _ in 0..30 {
-        let mut controller = controller(&config);
-        let mut sample = Measurement::start(&config);
-        sample.state = random_state(&mut rng, controller.model());
-        sample.wind = random_vector(&mut rng, 10.0);
-        sample.tick(&mut controller);
-        let lambda = &controller.terms().momentum.lambda_a * &sample.state.velocity;
-        let forces = controller.terms().link_forces.forces_i.clone();
-        let mut moment = |time: f64| {
-            sample.after(time).tick(&mut controller);
-            let terms = controller.terms();
-            let arms = terms.link_forces.arm_points_i.iter().zip(&forces);
-            arms.map(|(p, f)| (p - terms.kinematics.com).cross(f)).sum::<Vector3<f64>>()
-        };
-        let difference = (moment(STEP) - moment(-STEP)) / (2.0 * STEP);
-        let angular: Vector3<f64> = lambda.fixed_rows::<3>(3).into();
-        assert_within!((difference - angular).amax(), 1e-6 * angular.amax().max(1.0));
-        assert_eq!(lambda.fixed_rows::<3>(0).amax(), 0.0, "the linear rows are zero");
     }
 }
 

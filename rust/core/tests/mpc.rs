@@ -1,24 +1,23 @@
-//! The predictive law: every derivative against differences, the horizon against fine steps, the plan against its cost.
+//! The predictive law: the horizon against fine steps, the plan against its cost. Its derivatives, and distances:
+//! `tests/parity/test_symbolic_mpc.py`.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{Loop, Running, assert_within, at, experiment, random_state, random_vector, rng, robot};
-use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
+use flight_core::aero::{AeroModel, ForceFactorsConfig};
 use flight_core::control::Present;
 use flight_core::control::law::plan::Plan;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::mpc::PredictiveLaw;
-use flight_core::control::mpc::clearance::{Clearance, ClearanceConfig};
+use flight_core::control::mpc::clearance::Clearance;
 use flight_core::control::mpc::config::Air;
 use flight_core::control::mpc::horizon::{Horizon, Target};
 use flight_core::control::mpc::model::Linearised;
 use flight_core::control::{Command, Given, Modes, Preview};
-use flight_core::dynamics::Dynamics;
 use flight_core::jets::JetDynamics;
-use flight_core::kinematics::Kinematics;
 use flight_core::qp::{PrimalActiveSet, QpSolver, QpStatus};
-use flight_core::spatial::{exp_so3, log_so3, stack};
+use flight_core::spatial::{exp_so3, stack};
 use flight_core::{Measurement, RobotModel, RobotState};
 use flight_io::{AeroConfig, load_aero, load_robot};
 use flight_sim::ScenarioConfig;
@@ -69,68 +68,6 @@ impl Case {
         controller.tick(&Measurement { wind: self.wind, ..at(0.0, &self.state, &self.thrust) });
         controller
     }
-
-    /// Momentum rate without weight, and angular velocity, at `(v, θ, k, T, s, ṡ)` away from this state; the centre of
-    /// mass stays.
-    fn rate(&self, aero: &AeroModel, joints: &[usize], away: &Away) -> (Vector6<f64>, Vector3<f64>) {
-        let Self { robot, state, .. } = self;
-        let (mut kinematics, mut dynamics) = (Kinematics::new(robot), Dynamics::new(robot));
-        kinematics.update(robot, state);
-        dynamics.update(robot, state, &kinematics);
-        let (com, mass) = (kinematics.com, kinematics.mass());
-        let velocity: Vector3<f64> = dynamics.momentum.fixed_rows::<3>(0) / mass + away.v;
-        let k: Vector3<f64> = dynamics.momentum.fixed_rows::<3>(3) + away.k;
-
-        let mut moved = state.clone();
-        for (place, joint) in joints.iter().enumerate() {
-            moved.joint_position[*joint] += away.s[place];
-            moved.velocity[6 + joint] += away.sigma[place];
-        }
-        moved.base.rotation = exp_so3(&away.theta) * state.base.rotation;
-        kinematics.update(robot, &moved);
-        moved.base.position += com - kinematics.com;
-        kinematics.update(robot, &moved);
-        dynamics.update(robot, &moved, &kinematics);
-        let of_joints = moved.velocity.rows(6, robot.joints.len()).into_owned();
-        let spin = dynamics.momentum_matrix.view((3, 6), (3, robot.joints.len())) * &of_joints;
-        let omega = dynamics.centroidal_inertia.try_inverse().unwrap() * (k - spin);
-        moved.velocity.fixed_rows_mut::<3>(3).copy_from(&omega);
-        moved.velocity.fixed_rows_mut::<3>(0).fill(0.0);
-        kinematics.update(robot, &moved);
-        dynamics.update(robot, &moved, &kinematics);
-        let base = velocity - dynamics.momentum.fixed_rows::<3>(0) / mass;
-        moved.velocity.fixed_rows_mut::<3>(0).copy_from(&base);
-        kinematics.update(robot, &moved);
-
-        let mut forces = LinkForces::new(robot);
-        forces.update(robot, &kinematics, LinkConventions::default(), &mut aero.clone(), &self.wind);
-        let (mut force, mut moment) = forces.wrench_about(&com);
-        for (index, (jet, thrust)) in robot.jets.iter().zip(&self.thrust).enumerate() {
-            let pose = kinematics.frame_pose(&jet.frame);
-            let pushed = pose.rotation * jet.axis_f.into_inner() * (thrust + away.t[index]);
-            force += pushed;
-            moment += (pose.position - com).cross(&pushed);
-        }
-        (Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z), omega)
-    }
-}
-
-/// Where the derivatives are taken.
-#[derive(Clone)]
-struct Away {
-    v: Vector3<f64>,
-    theta: Vector3<f64>,
-    k: Vector3<f64>,
-    t: Vec<f64>,
-    s: Vec<f64>,
-    sigma: Vec<f64>,
-}
-
-impl Away {
-    fn none(jets: usize, free: usize) -> Self {
-        let zero = Vector3::zeros();
-        Self { v: zero, theta: zero, k: zero, t: vec![0.0; jets], s: vec![0.0; free], sigma: vec![0.0; free] }
-    }
 }
 
 fn moved_joints(config: &ScenarioConfig, robot: &RobotModel) -> Vec<usize> {
@@ -176,60 +113,6 @@ fn derivatives_of_link_forces_are_those_of_differences() {
 }
 
 #[test]
-fn the_model_is_the_derivative_of_momentum_rate_and_angular_velocity() {
-    let config = experiment("test2_mpc");
-    for seed in 0..4 {
-        let case = Case::draw(seed);
-        let controller = case.controller(&config);
-        let now = present(&controller);
-        let aero = axisymmetric(&case.robot);
-        let joints = moved_joints(&config, &case.robot);
-        let (jets, free) = (case.thrust.len(), joints.len());
-        let mut model = Linearised::new(&case.robot, joints.clone());
-        assert!(model.update(&case.robot, &aero, Air::Linear, now));
-        let none = Away::none(jets, free);
-        let compare = |what: &str,
-                       change: &dyn Fn(&mut Away, f64),
-                       rate: Vector6<f64>,
-                       omega: Vector3<f64>| {
-            let at = |step: f64| {
-                let mut away = none.clone();
-                change(&mut away, step);
-                case.rate(&aero, &joints, &away)
-            };
-            let (ahead, behind) = (at(STEP), at(-STEP));
-            let by_rate = (ahead.0 - behind.0) / (2.0 * STEP);
-            let by_omega = (ahead.1 - behind.1) / (2.0 * STEP);
-            let size = 1e3;
-            assert_within!(
-                (by_rate - rate).amax() / size,
-                2e-9,
-                because "h² and rounding / h of wrenches of 1000 N",
-                "{what}, seed {seed}: {by_rate} {rate}"
-            );
-            assert_within!((by_omega - omega).amax(), 1e-7, because "the same of rad/s", "{what}: ω, seed {seed}");
-        };
-        let zero = Vector3::zeros();
-        for axis in 0..3 {
-            compare("v", &|away, x| away.v[axis] = x, model.rate_v.column(axis).into(), zero);
-            let (rate, omega) = (model.rate_theta.column(axis), model.omega_theta.column(axis));
-            compare("θ", &|away, x| away.theta[axis] = x, rate.into(), omega.into());
-            let (rate, omega) = (model.rate_k.column(axis), model.omega_k.column(axis));
-            compare("k", &|away, x| away.k[axis] = x, rate.into(), omega.into());
-        }
-        for jet in 0..jets {
-            compare("T", &|away, x| away.t[jet] = x, model.rate_t.column(jet).into(), zero);
-        }
-        for joint in 0..free {
-            let (rate, omega) = (model.rate_s.column(joint), model.omega_s.column(joint));
-            compare("s", &|away, x| away.s[joint] = x, rate.into(), omega.into());
-            let (rate, omega) = (model.rate_sigma.column(joint), model.omega_sigma.column(joint));
-            compare("ṡ", &|away, x| away.sigma[joint] = x, rate.into(), omega.into());
-        }
-    }
-}
-
-#[test]
 fn a_constant_wrench_of_the_air_does_not_turn_with_the_robot() {
     let config = experiment("test2_mpc");
     let case = Case::draw(7);
@@ -249,84 +132,6 @@ fn a_constant_wrench_of_the_air_does_not_turn_with_the_robot() {
         (turned.fixed_rows::<3>(3) - expected(moment)).amax(),
     ];
     assert_within!(errors[0].max(errors[1]), 1e-11, because "rounding of wrenches of 1000 N");
-}
-
-/// Start, end and radius of every capsule, in inertial axes: the exhausts, `links`, then `apart_from`.
-fn capsules(
-    robot: &RobotModel,
-    kinematics: &Kinematics,
-    config: &ClearanceConfig,
-) -> Vec<(Vector3<f64>, Vector3<f64>, f64)> {
-    let exhausts = robot.jets.iter().map(|jet| {
-        let pose = kinematics.frame_pose(&jet.frame);
-        let back = pose.rotation * jet.axis_f.into_inner() * config.exhaust;
-        (pose.position, pose.position - back, 0.0)
-    });
-    let named = config.links.iter().chain(&config.apart_from).map(|name| {
-        if let Some(foot) = robot.soles.iter().find(|foot| foot.frame.name == *name) {
-            let pose = kinematics.frame_pose(&foot.frame);
-            let [[back, front], [right, left]] = foot.extent();
-            let middle = 0.5 * (left + right);
-            let end = |x: f64| pose.transform_point(&Vector3::new(x, middle, 0.0));
-            return (end(back), end(front), 0.5 * (left - right));
-        }
-        let link = robot.aero_links.iter().find(|link| link.name == *name).unwrap();
-        let pose = kinematics.frame_pose(&link.frame);
-        let half = pose.rotation * link.axis_l.into_inner() * (0.5 * link.length);
-        let half = if link.is_sphere { Vector3::zeros() } else { half };
-        let centre = pose.transform_point(&link.centre_l);
-        (centre - half, centre + half, 0.5 * link.diameter)
-    });
-    exhausts.chain(named).collect()
-}
-
-#[test]
-fn distances_are_those_of_many_points_and_their_derivatives_those_of_differences() {
-    let mpc = experiment("test2_mpc").controller.law.mpc.unwrap();
-    let config = mpc.clearance.as_ref().unwrap();
-    for seed in 0..4 {
-        let case = Case::draw(seed);
-        let (robot, joints) = (&case.robot, mpc.joints(&case.robot).unwrap());
-        let mut clearance = Clearance::new(Some(config), robot, joints.len()).unwrap();
-        let (first, second) = (robot.jets.len() + config.links.len(), config.apart_from.len());
-        assert_eq!(clearance.len(), first * second);
-        let mut kinematics = Kinematics::new(robot);
-        kinematics.update(robot, &case.state);
-        clearance.update(&kinematics, &joints);
-        let capsules = capsules(robot, &kinematics, config);
-        for (pair, distance) in clearance.distance.iter().enumerate() {
-            let (start, end, radius) = capsules[pair / second];
-            let (other, other_end, other_radius) = capsules[first + pair % second];
-            let count = 2000;
-            let nearest = (0..=count)
-                .map(|step| {
-                    let point = start + (end - start) * (f64::from(step) / f64::from(count));
-                    let way = other_end - other;
-                    let along = ((point - other).dot(&way) / way.norm_squared()).clamp(0.0, 1.0);
-                    (point - other - way * along).norm()
-                })
-                .fold(f64::INFINITY, f64::min);
-            let error = (nearest - radius - other_radius - distance).abs();
-            assert_within!(error, 4e-4, because "points 0.75 mm apart, near an axis", "pair {pair}");
-        }
-        let (before, by_joint) = (clearance.distance.clone(), clearance.by_joint.clone());
-        for (place, joint) in joints.iter().enumerate() {
-            let mut at = |step: f64| {
-                let mut moved = case.state.clone();
-                moved.joint_position[*joint] += step;
-                kinematics.update(robot, &moved);
-                clearance.update(&kinematics, &joints);
-                clearance.distance.clone()
-            };
-            let (ahead, behind) = (at(STEP), at(-STEP));
-            for pair in 0..before.len() {
-                let one_sided = [(ahead[pair] - before[pair]) / STEP, (before[pair] - behind[pair]) / STEP];
-                let error = one_sided.map(|by| (by - by_joint[(place, pair)]).abs());
-                // At the end of a segment the second derivative jumps; beside it the difference of one side is good.
-                assert_within!(error[0].min(error[1]), 2e-4, because "h times a second derivative", "{joint}, {pair}");
-            }
-        }
-    }
 }
 
 #[test]
@@ -794,17 +599,4 @@ fn a_plan_expects_the_wind_ahead() {
     {
         assert_eq!(plan(&bad), (Modes::PREVIEW_IGNORED, without.1.clone()));
     }
-}
-
-/// Rotation vectors of targets and their inverse: the chart of the prediction.
-#[test]
-fn the_rotation_of_the_prediction_turns_with_omega() {
-    let (omega, start) = (Vector3::new(0.3, -0.5, 0.8), Vector3::new(0.2, 0.1, -0.3));
-    let h = 1e-6;
-    let turned = log_so3(&(exp_so3(&(omega * h)) * exp_so3(&start)));
-    let back = log_so3(&(exp_so3(&(omega * -h)) * exp_so3(&start)));
-    let rate = (turned - back) / (2.0 * h);
-    let first = omega + omega.cross(&start) * 0.5;
-    // The next term of the series is S(θ)² ω / 12.
-    assert_within!((rate - first).norm(), start.norm_squared() * omega.norm() / 12.0);
 }

@@ -4,11 +4,10 @@ use super::{assert_close, robot_file};
 use crate::common::assert_within;
 use crate::common::engines::engines;
 use flight_core::jets::EngineModel;
-use flight_core::robot::{Frame, RobotModel};
+use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, axis_angle};
 use flight_io::{RobotFiles, hold, load_robot};
 use nalgebra::{Matrix3, Vector3};
-use serde_json::Value;
 use std::path::PathBuf;
 
 fn ironcub() -> RobotModel {
@@ -149,55 +148,6 @@ fn centre_of_mass_in_the_initial_posture() {
     let sole = &robot.feet[0].frame;
     let height = (i_from_body[sole.body] * sole.body_from_frame).position.z;
     assert_close("height of the sole", height, 0.180_562, 5e-7);
-}
-
-/// Every body, joint and frame as Pinocchio reads them from the URDF, stored by `tests/golden/states.py`.
-#[test]
-fn agrees_with_pinocchio() {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/states.json");
-    let golden: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
-    let facts = &golden["robot"];
-    let vector = |v: &Value| Vector3::from(serde_json::from_value::<[f64; 3]>(v.clone()).unwrap());
-    let matrix = |m: &Value| {
-        let rows = m.as_array().unwrap().iter().map(|row| vector(row).transpose()).collect::<Vec<_>>();
-        Matrix3::from_rows(&rows)
-    };
-
-    let robot = ironcub();
-    let bodies = facts["bodies"].as_array().unwrap();
-    assert_eq!(bodies.len(), 24);
-    for (index, fact) in bodies.iter().enumerate() {
-        let name = fact["name"].as_str().unwrap();
-        let body = &robot.bodies[index];
-        assert_eq!(body.name, name);
-        assert_close(name, body.mass, fact["mass"].as_f64().unwrap(), 1e-14);
-        assert_within!((body.com_b - vector(&fact["com"])).amax(), 1e-14, "com of {name}");
-        assert_within!((body.inertia_b - matrix(&fact["inertia"])).amax(), 1e-14, "inertia of {name}");
-        let Some(parent) = body.parent else { continue };
-        assert_eq!(robot.bodies[parent].name, fact["parent"].as_str().unwrap());
-        let joint = &robot.joints[index - 1];
-        let placement = &joint.parent_from_child;
-        assert_within!((placement.position - vector(&fact["position"])).amax(), 1e-14, "position of {name}");
-        assert_within!((placement.rotation - matrix(&fact["rotation"])).amax(), 1e-13, "rotation of {name}");
-        assert_within!((joint.axis_b.into_inner() - vector(&fact["axis"])).amax(), 1e-13, "axis of {name}");
-    }
-
-    let links = robot.aero_links.iter().map(|link| &link.frame);
-    let frames: Vec<&Frame> = links.chain(robot.feet.iter().map(|foot| &foot.frame)).collect();
-    for (frame, fact) in frames.iter().zip(facts["frames"].as_array().unwrap()) {
-        let name = &frame.name;
-        assert_eq!(name, fact["name"].as_str().unwrap());
-        assert_eq!(robot.bodies[frame.body].name, fact["body"].as_str().unwrap(), "{name}");
-        let pose = &frame.body_from_frame;
-        assert_within!((pose.position - vector(&fact["position"])).amax(), 1e-14, "position of {name}");
-        assert_within!((pose.rotation - matrix(&fact["rotation"])).amax(), 1e-13, "rotation of {name}");
-    }
-    assert_eq!(frames.len(), facts["frames"].as_array().unwrap().len());
-    for jet in &robot.jets {
-        let link = robot.aero_links.iter().find(|link| link.name == jet.frame.name).unwrap();
-        assert_eq!(jet.frame.body, link.frame.body);
-        assert_eq!(jet.frame.body_from_frame, link.frame.body_from_frame);
-    }
 }
 
 /// The first tag of this name in another.
