@@ -21,9 +21,7 @@ from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import exp_so3, rotation_from_rpy
 from jax_aero.control import tick
 from jax_aero.control.law import setpoint
-from jax_aero.control.law.attitude import attitude_demand
-from jax_aero.control.law.bounds import rate_bounds
-from jax_aero.control.law.torque import limit_rate, torque_qp
+from jax_aero.control.law.torque import limit_rate
 from jax_aero.types import Setpoint, State, leaf
 from tests.measurements import measured
 
@@ -74,40 +72,10 @@ def twin(x64):
     return config, robot, tick.momentum_controller(config, robot)
 
 
-def random_reference(rng):
-    return Setpoint(*rng.normal(size=(4, 3)), np.asarray(exp_so3(rng.normal(size=3))), *rng.normal(size=(3, 3)))
-
-
-def test_rate_bounds(rng):
-    """In the middle, at a limit, and beyond it."""
-    value = np.array([0.0, -1.0, 1.0, 1.3])
-    inputs = (value, np.full(4, -1.0), np.full(4, 1.0), np.full(4, 0.8), np.array(5.0))
-    assert_derivatives_agree(lambda x: rate_bounds(*x), inputs, rng)
-
-
 def test_limit_rate(rng):
     """Within the step and beyond it."""
     inputs = (np.zeros(3), np.array([1.0, 5.0, -7.0]), np.full(3, 3.0))
     assert_derivatives_agree(lambda x: limit_rate(*x), inputs, rng)
-
-
-def test_attitude_demand(twin, rng):
-    _, _, params = twin
-    rotation, inertia = np.asarray(exp_so3(rng.normal(size=3))), np.diag([3.1, 2.8, 0.7])
-    inputs = (params.momentum, random_reference(rng), rotation, rng.normal(size=3), rng.normal(size=3), inertia)
-    assert_derivatives_agree(lambda x: attitude_demand(*x), inputs, rng)
-
-
-def test_torque_qp(twin, rng):
-    _, _, params = twin
-    root = rng.normal(size=(N_JOINTS, N_JOINTS))
-    gain, free, errors = root @ root.T, rng.normal(size=N_JOINTS), rng.normal(size=(2, N_JOINTS))
-
-    def build(x):
-        torque, root, free, errors = x
-        return torque_qp(torque, np.full(N_JOINTS, 50.0), root + root.T, free, *errors)
-
-    assert_derivatives_agree(build, (params.torque, 0.5 * gain, free, errors), rng, tolerance=1e-5)
 
 
 def test_setpoints(twin, rng):

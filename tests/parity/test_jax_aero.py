@@ -11,12 +11,10 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from jax_aero import rust
-from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
+from jax_aero.aero import LinksInAir, aero_model
 from jax_aero.aero.pchip import interpolate, pchip
-from jax_aero.base.typed import aero_config, scenario_config
-from jax_aero.body.kinematics import kinematics
+from jax_aero.base.typed import aero_config
 from jax_aero.body.robot import load_robot
-from jax_aero.types import State
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -67,42 +65,3 @@ def test_forces(models, name, robot, robot_name, agree):
     forces = np.asarray(jax.jit(jax.vmap(lambda a, v: model.forces(LinksInAir(a, v, None, None, None))))(axes, v_air))
     for case in range(len(SPEEDS)):
         agree(f"{name} forces", forces[case], rust.aero_forces(robot, table, axes[case], v_air[case]), TOLERANCE)
-
-
-@pytest.mark.parametrize("experiment", ["test2", "test2_published", "robustness_axisymmetric_vs_sphere_cylinder"])
-def test_where_the_controller_places_links(experiment, agree):
-    """Axes, relative winds, points and forces of the controller, corrected and published conventions."""
-    table = rust.load_config(experiment)
-    config = scenario_config(table).controller
-    robot = load_robot(table["robot"])
-    model = aero_model(config.aero, robot)
-    conventions = LinkConventions(config.lever_arm, config.jacobian_offset, config.link_velocity)
-
-    @jax.jit
-    def place(state, wind):
-        kin = kinematics(robot, state)
-        link = link_forces(model, robot, kin, conventions, wind)
-        return link, wrench_about(link, kin.com)
-
-    controller = rust.Controller(table)
-    rng = np.random.default_rng(5)
-    start = np.array(table["simulator"]["initial"]["joint_position"])
-    for case in range(8):
-        rotation = np.diag([-1.0, -1.0, 1.0])
-        state = rust.State(
-            rng.normal(size=3), rotation, start + 0.3 * rng.normal(size=23), rng.normal(size=29) * (case > 0)
-        )
-        wind = rng.normal(size=3) * 8.0
-        link, wrench = jax.device_get(place(State(*(jnp.asarray(x) for x in state)), jnp.asarray(wind)))
-        tick = controller.tick(state, thrust=[100.0] * 4, wind=wind)
-        for ours, theirs in [
-            ("axes", "link_axes"),
-            ("v_air", "link_v_air"),
-            ("arm_points", "link_arm_points"),
-            ("jacobian_points", "link_jacobian_points"),
-            ("forces", "aero_force"),
-        ]:
-            agree(f"link {ours}", getattr(link, ours), getattr(tick, theirs), TOLERANCE)
-        lift = wrench[:3] - np.array([0.0, 0.0, robot.mass * robot.gravity])
-        thrust = tick.a_t[:3] @ np.full(4, 100.0)
-        agree("momentum rate, linear", thrust + lift, tick.momentum_rate_estimate[:3], 1e-9)

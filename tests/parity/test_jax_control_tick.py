@@ -207,18 +207,6 @@ def follow(twin, measurements, params):
     return jax.device_get(scan(params, measurements))
 
 
-def test_ticks_along_a_flight(flown, agree):
-    """Memory, warm start, rate limiter and reference generator together, with the corrected arms."""
-    twin, log, measurements = flown
-    command, com_setpoint = follow(twin, measurements, twin.params)
-    assert not np.any(command.degraded_modes)
-    agree("flight: com_setpoint", com_setpoint, log["com_setpoint"], 1e-12)
-    agree("flight: thrust_rate", command.thrust_rate, log["thrust_rate"], 1e-9)
-    agree("flight: joint_velocity_command", command.joint_velocity, log["joint_velocity_command"], 1e-9)
-    agree("flight: joint_torque", command.joint_torque, log["joint_torque"], 1e-9)
-    assert np.all(command.momentum_qp.iterations[50:] <= 3)
-
-
 @pytest.mark.close_to_tolerance("a budget of single precision along a flight, not rounding of one operation")
 def test_float32_commands_along_a_flight(flown, measured):
     """An error budget rather than parity: the QP's condition number leaves single precision three digits."""

@@ -13,7 +13,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.body.dynamics import accelerate, add_joint_inertia, dynamics, forward_dynamics, invert_mass
-from jax_aero.body.kinematics import frame_poses, generalised_force, kinematics, velocities_at
+from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import load_robot
 from jax_aero.types import State
 from tests.measurements import measured
@@ -92,34 +92,3 @@ def test_the_inverse_of_the_mass_matrix(jax_robot, states, rotors):
             error = np.abs(found.T @ matrix - np.eye(6 + n)).max()
             # Of the inverse and of the product.
             measured("inverse mass matrix", error, 2.0 * (6 + n) * np.finfo(float).eps * np.linalg.cond(matrix))
-
-
-def test_velocities_and_forces_follow_from_the_jacobian(jax_robot, robot, states, agree):
-    """`J ν` is the velocity of a point, and `Jᵀ f` the generalised force of forces at points."""
-    links = jax_robot.aero_links
-    forces, offsets = np.random.default_rng(3).normal(size=(2, links.count, 3))
-    # A frame is named as in the URDF, where these robots' frames have the names of links.
-    frames = {place: name for place, name in enumerate(links.names) if name in robot.body_names}
-    assert frames
-
-    @jax.jit
-    @jax.vmap
-    def evaluate(state):
-        kin = kinematics(jax_robot, state)
-        _, points = frame_poses(kin, links)
-
-        def velocities(nu, points=points):
-            moving = kinematics(jax_robot, state._replace(velocity=nu))
-            return velocities_at(moving, links.bodies, points), moving.angular_velocities[np.array(links.bodies)]
-
-        _, transpose = jax.vjp(lambda nu: velocities(nu, points + offsets)[0], state.velocity)
-        force = generalised_force(jax_robot, kin, links.bodies, points + offsets, jnp.asarray(forces))
-        return *jax.jacfwd(velocities)(state.velocity), force - transpose(jnp.asarray(forces))[0]
-
-    linear, angular, difference = jax.device_get(evaluate(stack_states(states[:20])))
-    measured("generalised force", np.abs(difference).max(), 1e-11)
-    for i, state in enumerate(states[:20]):
-        for j, frame in frames.items():
-            theirs = rust.frame_jacobian(robot, frame, state)
-            agree("linear Jacobian", linear[i, j], theirs.linear, TOLERANCE)
-            agree("angular Jacobian", angular[i, j], theirs.angular, TOLERANCE)

@@ -11,8 +11,6 @@ from jax_aero import rust
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import tick
-from jax_aero.control.estimate import disturbance_observer
-from jax_aero.control.estimate.disturbance_observer import ObserverGains
 from jax_aero.types import State
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -70,34 +68,3 @@ def test_a_flight(flown, agree):
     assert largest[:3].max() == LIMITS["force_max"], "the limit of the force is reached"
     assert largest[3:].max() == LIMITS["moment_max"], "the limit of the moment is reached"
     assert np.ptp(theirs, axis=0).min() > 0.01
-
-
-def test_the_law_on_every_axis():
-    """`w (1 − exp(−K_o t))`, as the crate's own test has it."""
-    config = ObserverGains(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
-    wrench = jnp.array([30.0, -50.0, 70.0, 3.0, -5.0, 7.0])
-    rate = jnp.array([-11.0, 13.0, 17.0, -1.9, 2.3, 2.9])
-    times = 0.01 * jnp.arange(200)
-
-    def one(state, time):
-        state = disturbance_observer.update(config, jnp.array(0.01), state, (rate + wrench) * time, rate)
-        return state, state.wrench
-
-    _, found = jax.lax.scan(one, disturbance_observer.start(wrench), times)
-    gains = np.repeat([2.0, 5.0], 3)
-    expected = wrench * -np.expm1(-np.outer(times, gains))
-    # A momentum near 200 N s rounds by 3e-14 N s, a tick divides by 0.01 s.
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
-
-
-def test_the_first_tick_has_no_slope():
-    """Nothing is compared in it."""
-    config = ObserverGains(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
-
-    def total(momentum):
-        state = disturbance_observer.update(
-            config, jnp.array(0.01), disturbance_observer.start(momentum), momentum, 0.0 * momentum
-        )
-        return state.wrench.sum()
-
-    assert np.array_equal(jax.grad(total)(jnp.ones(6)), np.zeros(6))

@@ -1,15 +1,12 @@
 """`make`, CI and metadata are consistent, and no file names a path of one machine."""
 
-import datetime
 import os
 import re
-import shutil
 import subprocess
 import tomllib
 from importlib import metadata
 from pathlib import Path
 
-import pytest
 import yaml
 
 import jax_aero
@@ -34,41 +31,11 @@ def test_make_alone_lists_targets_with_what_they_do_and_each_has_a_recipe():
     assert all(lines)
 
 
-@pytest.mark.parametrize("flags", ["w", "--no-print-directory"])
-def test_bits_are_not_compared_without_compiler_and_emulator(flags, monkeypatch):
-    """Whether or not the make that runs the tests prints its directory."""
-    for key, value in {"MAKELEVEL": "1", "MAKEFLAGS": flags, "MFLAGS": f"-{flags.strip('-')}"}.items():
-        monkeypatch.setenv(key, value)
-    refused = make("bits", "BITS_TOOLS=no-emulator", status=2)
-    assert refused.startswith("no-emulator is missing: apt-get install gcc-aarch64-linux-gnu qemu-user ")
-
-
-def test_ci_calls_the_commands_of_the_readme_as_they_stand_there():
-    readme, ci = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", ".ci/run"))
-    shown = re.findall(r"^make (?:demo|test)$", readme, re.M) + re.findall(r"`(make test-all)`", readme)
-    assert shown == ["make demo", "make test", "make test-all"]
-    called = [line.split("#")[0].strip() for line in ci.splitlines()]
-    assert {"make demo", "make test-all"} <= {*called}  # the latter begins with `make test`
-    assert "--no-print-directory" not in ci
-
-
 def test_there_is_one_version():
     cargo = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]["package"]["version"]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
     assert {cargo, str(citation)} == {jax_aero.__version__}
     assert metadata.version("jax-aero") == cargo
-
-
-def test_metadata_say_when_for_which_pythons_and_where_more_is():
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert isinstance(citation["date-released"], datetime.date)
-    versions = [found[1] for line in project["classifiers"] if (found := re.search(r":: (3\.\d+)$", line))]
-    assert versions == ["3.11", "3.12", "3.13", "3.14"]
-    assert project["requires-python"] == f">={versions[0]}"
-    assert {entry.get("doi", entry.get("repository-code")) for entry in citation["references"]} == {
-        link.removeprefix("https://doi.org/") for link in project["urls"].values()
-    }
 
 
 def test_the_recipe_for_conda_has_the_version_and_the_packages_of_the_project():
@@ -129,25 +96,3 @@ def test_no_file_names_a_machine_a_package_host_or_a_folder_beside_the_project()
         matches = [pattern.search(text) for pattern in patterns]
         found += [f"{path.relative_to(ROOT)}: {match[0]}" for match in matches if match]
     assert found == []
-
-
-def test_make_works_below_a_path_with_a_space(tmp_path):
-    """The step of the set-up that compiles, with a stand-in for maturin; and the installation of the C library."""
-    clone = tmp_path / "my code"
-    (clone / ".venv/bin").mkdir(parents=True)
-    shutil.copytree(ROOT / "rust/capi", clone / "rust/capi", ignore=shutil.ignore_patterns("target"))
-    for name in ("Makefile", "Cargo.toml", "Cargo.lock", "pyproject.toml", "requirements.hashed"):
-        shutil.copy(ROOT / name, clone)
-    for name in (".first", "bin/python"):
-        (clone / ".venv" / name).touch()
-    maturin = clone / ".venv/bin/maturin"
-    maturin.write_text('#!/bin/sh\necho "$VIRTUAL_ENV"\n')
-    maturin.chmod(0o755)
-
-    assert str(clone / ".venv") in make("-C", str(clone), ".venv/.module").splitlines()
-    for name in ("libflight.so", "libflight.a"):
-        (clone / name).touch()
-    make("-C", str(clone), "install-capi", f"PREFIX={tmp_path / 'a b'}", f"LIBFLIGHT={clone}")
-    installed = {path.name for path in (tmp_path / "a b").rglob("*") if path.is_file()}
-    expected = {"flight.h", "libflight.so", "libflight.a", "flight.pc"}
-    assert installed == expected | {"flight-config.cmake", "flight-config-version.cmake"}

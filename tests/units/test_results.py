@@ -254,13 +254,6 @@ def test_a_lock_of_another_machine_is_left_alone(tmp_path):
             assert json.loads(lock.read_text())["pid"] == os.getpid()
 
 
-def test_killed_processes_lose_nothing():
-    command = [sys.executable, "-m", "tests.tools.kill", "--trials", "5"]
-    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
-    assert answer.returncode == 0, answer.stderr
-    assert len(answer.stdout.splitlines()) == 2
-
-
 # --- a disk that is full, or read-only
 
 

@@ -80,13 +80,3 @@ def test_the_number_of_an_unknown_may_be_traced():
     for fixed, traced in zip(cost(1), jax.jit(cost)(1), strict=True):
         np.testing.assert_array_equal(traced, fixed)
     np.testing.assert_array_equal(np.diag(cost(1)[0]), 2.0 * np.arange(4.0) ** 2 + [0.0, 3.0, 4.0, 0.0])
-
-
-def test_a_heavy_one_is_obeyed(first_tick, measured):
-    plain, problem = first_tick()
-    distance = np.minimum(problem.upper[4:] - plain.joint_velocity, plain.joint_velocity - problem.lower[4:])
-    joint = int(np.argmax(distance))
-    wanted = float(plain.joint_velocity[joint]) + 0.01
-    heavy, _ = first_tick(KeepVelocity(joint, False, jnp.array(wanted), jnp.array(1e8)))
-    measured("velocity of the joint", abs(float(heavy.joint_velocity[joint]) - wanted), 1e-6)
-    assert np.abs(np.delete(heavy.joint_velocity - plain.joint_velocity, joint)).max() > 1e-6, "the others move"

@@ -1,5 +1,4 @@
-//! Networks: their two precisions agree, they follow the laws, and damaged weights are refused. `tests/parity/test_jax_network.py`
-//! compares them with JAX.
+//! Networks: of any robot, and damaged weights are refused. `tests/parity/test_jax_network.py` holds their forces to JAX.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 
 use crate::common::network::{
@@ -9,7 +8,6 @@ use crate::common::network::{
 use crate::common::{assert_says, assert_within, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces, Precision};
 use flight_core::kinematics::Kinematics;
-use flight_core::spatial::rotation_from_wxyz;
 use flight_core::{BuildError, RobotModel, RobotState};
 use flight_io::{AeroConfig, NetworkConfig, load_aero};
 use nalgebra::Vector3;
@@ -36,164 +34,7 @@ fn forces(robot: &RobotModel, model: &mut AeroModel, state: &RobotState, wind: V
     forces
 }
 
-/// Greatest difference over the greatest force.
-fn distance(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
-    let scale = a.iter().map(Vector3::norm).fold(1e-300, f64::max);
-    a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max) / scale
-}
-
-/// Networks that differ in features, axes, layout, activation, symmetry and number of members.
-fn shapes() -> [(&'static str, Shape); 6] {
-    let base = paper(&[20, 70]);
-    [
-        ("paper", paper(&[40; 3])),
-        ("linear", paper(&[])),
-        ("symmetric", Shape { mirror: true, activation: "tanh", members: 3, ..paper(&[33]) }),
-        ("tunnel axes", Shape { frame: "wind", mirror: true, has_baseline: true, ..base }),
-        ("compact", COMPACT),
-        ("small", SMALL),
-    ]
-}
-
 // --- laws --------------------------------------------------------------------------------------------------------
-
-/// Single precision is double precision to six digits, whatever the shape.
-#[test]
-fn precisions_agree() {
-    let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(1), tempdir().unwrap());
-    for (name, shape) in shapes() {
-        let build = |precision| {
-            load_aero(&random_network(folder.path(), &robot, &shape, name, precision), &robot).unwrap()
-        };
-        let (mut single, mut double) = (build(Precision::F32), build(Precision::F64));
-        for _ in 0..20 {
-            let (state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
-            let a = forces(&robot, &mut double, &state, wind).forces_i;
-            let worst = distance(&a, &forces(&robot, &mut single, &state, wind).forces_i);
-            assert!(worst < 2e-6 && worst > 0.0, "{name}: {worst:e}");
-        }
-    }
-}
-
-/// Outputs in tunnel axes are those of base axes, turned: x along the wind, z normal to it without a side, y right-handed.
-#[test]
-fn tunnel_axes_turn_with_the_wind() {
-    let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(3), tempdir().unwrap());
-    let [mut in_base, mut in_tunnel] = ["base", "wind"].map(|frame| {
-        let shape = Shape { frame, ..paper(&[20]) };
-        load_aero(&random_network(folder.path(), &robot, &shape, frame, Precision::F64), &robot).unwrap()
-    });
-    let mut state = RobotState::zero(robot.joints.len()); // base axes are the world's
-    for _ in 0..10 {
-        state.joint_position = random_state(&mut rng, &robot).joint_position;
-        let wind = random_vector(&mut rng, 10.0);
-        let x = wind.normalize();
-        let z = Vector3::new(-x.z, 0.0, x.x).normalize();
-        let axes = nalgebra::Matrix3::from_columns(&[x, z.cross(&x), z]);
-        let expected: Vec<_> =
-            forces(&robot, &mut in_base, &state, wind).forces_i.iter().map(|force| axes * force).collect();
-        let found = forces(&robot, &mut in_tunnel, &state, wind).forces_i;
-        assert_within!(distance(&expected, &found), 1e-13, because "a dozen roundings");
-    }
-}
-
-/// Forces grow with the square of the speed, turn with the world, and vanish in still air.
-#[test]
-fn forces_follow_wind_and_world() {
-    let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(2), tempdir().unwrap());
-    for (name, shape) in shapes() {
-        let config = random_network(folder.path(), &robot, &shape, name, Precision::F64);
-        let mut model = load_aero(&config, &robot).unwrap();
-        for _ in 0..10 {
-            let mut state = random_state(&mut rng, &robot);
-            state.velocity.fill(0.0);
-            let wind = random_vector(&mut rng, 10.0);
-            let here = forces(&robot, &mut model, &state, wind).forces_i;
-            let thrice: Vec<Vector3<f64>> = here.iter().map(|force| force * 9.0).collect();
-            assert_within!(
-                distance(&thrice, &forces(&robot, &mut model, &state, wind * 3.0).forces_i),
-                1e-12,
-                "{name}"
-            );
-
-            let turn = rotation_from_wxyz(&[0.4, -0.2, 0.7, 0.5]);
-            let turned: Vec<Vector3<f64>> = here.iter().map(|force| turn * force).collect();
-            state.base.rotation = turn * state.base.rotation;
-            state.base.position += Vector3::new(3.0, -2.0, 5.0);
-            let there = forces(&robot, &mut model, &state, turn * wind).forces_i;
-            assert_within!(distance(&turned, &there), 1e-11, "{name}: {:e}", distance(&turned, &there));
-
-            let still = forces(&robot, &mut model, &state, Vector3::zeros()).forces_i;
-            assert!(still.iter().all(|force| *force == Vector3::zeros()), "{name}");
-        }
-    }
-}
-
-/// Only the velocity of the base origin enters, and it enters as wind: the model's definition.
-#[test]
-fn the_wind_is_that_of_the_base_origin() {
-    let (robot, mut rng) = (robot("ironcub_mk1"), rng(3));
-    let mut model = small(&robot);
-    let (mut state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
-    let moving = forces(&robot, &mut model, &state, wind);
-    let relative = wind - state.base_linear_velocity();
-    state.velocity.fill(0.0);
-    let still = forces(&robot, &mut model, &state, relative);
-    assert_within!(distance(&moving.forces_i, &still.forces_i), 1e-13);
-}
-
-/// A symmetric network's answer to the mirrored question is the mirrored answer; another one's is not.
-#[test]
-fn a_symmetric_network_is_symmetric() {
-    let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(4), tempdir().unwrap());
-    let swapped = |name: &str| -> String {
-        let parts = name.split('_').map(|part| match part {
-            "l" => "r",
-            "r" => "l",
-            other => other,
-        });
-        parts.collect::<Vec<_>>().join("_")
-    };
-    let reflect = |v: Vector3<f64>| Vector3::new(v.x, -v.y, v.z);
-    // Features that come from the links' places see that the robot itself is not quite symmetric.
-    let plain = Shape { mirror: true, ..paper(&[40]) };
-    // An axis across the robot, as that of its root link, has two ends: a baseline may distinguish them.
-    let in_link_axes = Shape { has_baseline: false, ..COMPACT };
-    let lopsided = paper(&[40]);
-    for (name, shape, tolerance) in [
-        ("mirror", &plain, 1e-12),
-        ("mirror in link axes", &in_link_axes, 1e-2),
-        ("no mirror", &lopsided, f64::INFINITY),
-    ] {
-        let mut model =
-            load_aero(&random_network(folder.path(), &robot, shape, name, Precision::F64), &robot).unwrap();
-        for _ in 0..20 {
-            let mut state = RobotState::zero(robot.joints.len());
-            state.joint_position = random_state(&mut rng, &robot).joint_position * 0.5;
-            let wind = random_vector(&mut rng, 10.0);
-            let mut image = state.clone();
-            for (joint, angle) in robot.joints.iter().zip(state.joint_position.iter()) {
-                let sign =
-                    if ["torso_roll", "torso_yaw"].contains(&joint.name.as_str()) { -1.0 } else { 1.0 };
-                image.joint_position[robot.joint_index(&swapped(&joint.name)).unwrap()] = sign * angle;
-            }
-            let here = forces(&robot, &mut model, &state, wind).forces_i;
-            let there = forces(&robot, &mut model, &image, reflect(wind)).forces_i;
-            let expected: Vec<Vector3<f64>> = robot
-                .aero_links
-                .iter()
-                .map(|link| {
-                    let image =
-                        robot.aero_links.iter().position(|other| other.name == swapped(&link.name)).unwrap();
-                    reflect(there[image])
-                })
-                .collect();
-            let worst = distance(&here, &expected);
-            assert_within!(worst, tolerance, "{name}: {worst:e}");
-            assert!(tolerance.is_finite() || worst > 1e-2, "{name}: {worst:e}");
-        }
-    }
-}
 
 /// Any robot with aerodynamic links may have a network.
 #[test]

@@ -148,19 +148,6 @@ fn random_problems_of_every_size_are_solved() {
     }
 }
 
-/// Without rows it is the box problem, and has the box solver's answer.
-#[test]
-fn without_rows_it_is_the_box_problem() {
-    let mut rng = rng(3);
-    for _ in 0..200 {
-        let qp = random_problem(&mut rng, 20, 0);
-        let mut bounded = PrimalActiveSet::new(20);
-        assert_eq!(bounded.solve(&qp).status, QpStatus::Solved);
-        let (x, _) = solve(&qp);
-        assert_within!(difference(&x, &DVector::from_column_slice(bounded.x())), 1e-9);
-    }
-}
-
 /// Rows that limit nothing leave a box, which the primal method solves; a row that limits something is refused, and
 /// there is no certificate without its multiplier.
 #[test]

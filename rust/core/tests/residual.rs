@@ -1,21 +1,16 @@
-//! Residuals: what a policy observes and how it acts, how a residual is added, and which cards are refused.
-//! `tests/parity/test_jax_policy.py` compares policies with JAX.
+//! Residuals: how one is added, and which cards are refused. `tests/parity/test_jax_policy.py` holds what a policy
+//! observes and does to JAX.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::network::{Tensor, digest, file_of};
-use crate::common::{
-    Loop, Running, TIME_STEP, assert_says, assert_within, at, experiment, random_state, random_vector, rng,
-    robot,
-};
+use crate::common::{Loop, Running, assert_says, assert_within, at, experiment, robot};
 use flight_core::control::law::residual::{Policy, Residual};
 use flight_core::control::{Given, Modes};
-use flight_core::spatial::{exp_so3, log_so3};
-use flight_core::{BuildError, Controller, RobotModel, RobotState};
+use flight_core::{BuildError, Controller, RobotModel};
 use flight_io::{PolicyConfig, load_policy};
-use nalgebra::{DMatrix, DVector, Vector3, Vector6};
-use rand::RngExt;
+use nalgebra::{DVector, Vector3};
 use serde_json::{Value, json};
 use tempfile::tempdir;
 
@@ -78,112 +73,6 @@ fn load(robot: &RobotModel, tensors: &[Tensor], changes: &[(&str, Value)]) -> Re
 /// TEST1's controller, in wide bounds.
 fn controller() -> Controller {
     experiment("test1").controller(robot("ironcub_mk1")).unwrap()
-}
-
-/// A robot in a posture within its limits that turns and moves, and its thrusts.
-fn sample(robot: &RobotModel, seed: u64) -> (RobotState, Vec<f64>) {
-    let mut rng = rng(seed);
-    let mut state = random_state(&mut rng, robot);
-    for (position, joint) in state.joint_position.iter_mut().zip(&robot.joints) {
-        *position = 0.5 * (joint.limits.0 + joint.limits.1);
-    }
-    (state, vec![100.0; robot.jets.len()])
-}
-
-/// A first tick, then one of another state, as if it had been pushed there: set-point and wrench are then not zero.
-fn two_ticks(controller: Controller) -> (Running, [Vector6<f64>; 2], RobotState) {
-    let robot = robot("ironcub_mk1");
-    let (mut state, thrust) = sample(&robot, 1);
-    state.velocity.fill(0.0);
-    let mut running = Running::new(controller);
-    running.tick(&at(0.0, &state, &thrust));
-    let first = running.controller.terms();
-    let (momentum, rate) = (first.dynamics.momentum, first.momentum.rate_estimate);
-    let mut rng = rng(2);
-    state.base.position += random_vector(&mut rng, 0.02);
-    state.base.rotation *= exp_so3(&random_vector(&mut rng, 0.03));
-    for (index, velocity) in state.velocity.as_mut_slice()[..6].iter_mut().enumerate() {
-        *velocity = 0.02 * (index as f64 - 2.3);
-    }
-    running.tick(&at(TIME_STEP, &state, &thrust));
-    // M84 with a gain of 3 s⁻¹, not limited.
-    let moved = running.controller.terms().dynamics.momentum;
-    let wrench = (1.0 - (-3.0 * TIME_STEP).exp()) * ((moved - momentum) / TIME_STEP - rate);
-    let third = running.controller.terms().momentum.rate_estimate;
-    running.tick(&at(2.0 * TIME_STEP, &state, &thrust));
-    let again = running.controller.terms().dynamics.momentum;
-    let next = wrench + (1.0 - (-3.0 * TIME_STEP).exp()) * ((again - moved) / TIME_STEP - third - wrench);
-    (running, [wrench, next], state)
-}
-
-/// What is observed, by other formulas than those of the crate; the wrench is that of the tick before.
-fn expected_features(running: &Running, state: &RobotState, wrench: &Vector6<f64>) -> DVector<f64> {
-    let (terms, model) = (running.controller.terms(), running.controller.model());
-    let (base, due) = (state.base.rotation, terms.due);
-    let b_from_i = base.try_inverse().unwrap();
-    let turn = log_so3(&(due.rotation.transpose() * base));
-    let rotation = if turn.norm() > 0.0 { turn.normalize() * turn.norm().sin() } else { turn };
-    let velocity = &state.velocity;
-    let thrusts: f64 = model.jets.iter().map(|jet| jet.thrust_max).sum();
-    let parts = [
-        b_from_i * Vector3::new(0.0, 0.0, -1.0),
-        rotation,
-        b_from_i * (terms.kinematics.com - due.com_position),
-        b_from_i * (Vector3::new(velocity[0], velocity[1], velocity[2]) - due.com_velocity),
-        b_from_i * Vector3::new(velocity[3], velocity[4], velocity[5])
-            - b_from_i * due.rotation * due.angular_velocity_b,
-        b_from_i * Vector3::new(wrench[0], wrench[1], wrench[2]) / (0.1 * thrusts),
-        b_from_i * Vector3::new(wrench[3], wrench[4], wrench[5]) / (0.01 * thrusts),
-    ];
-    DVector::from_iterator(
-        INPUTS,
-        parts.iter().zip(SCALE).flat_map(|(part, scale)| [scale * part.x, scale * part.y, scale * part.z]),
-    )
-}
-
-/// Every feature with its own sign, factor and axis, seen through a policy that shows one input in each action.
-#[test]
-fn what_is_observed_is_the_law_of_the_model() {
-    let robot = robot("ironcub_mk1");
-    let mut shown = weights(&mut || 0.0);
-    for index in 0..INPUTS {
-        shown[3][index * INPUTS + index] = 0.25;
-    }
-    let mut controller = controller();
-    controller.set_policy(load(&robot, &tensors(shown), &[]).unwrap());
-    let (running, [wrench, next], state) = two_ticks(controller);
-    let expected = expected_features(&running, &state, &wrench);
-    assert!(expected.iter().all(|x| x.abs() > 1e-4), "{expected}");
-    let residual = &running.controller.terms().residual;
-    for index in 0..INPUTS {
-        let scale = if index < 4 { THRUST_RATE } else { JOINT_VELOCITY };
-        let found = (residual[index] / scale).atanh() / 0.25;
-        assert_within!((found - expected[index]).abs() / (1.0 + expected[index].powi(2)), 1e-11, "{index}");
-    }
-    // Momenta of 100 N s over a step round by 1e-12 N.
-    assert_within!((running.state().residual_wrench() - next).amax(), 1e-9);
-}
-
-/// `a = tanh(W₂ tanh(W₁ x + b₁) + W₃ x + b₂)`, in sums of nalgebra.
-#[test]
-fn the_action_is_that_of_the_weights() {
-    let robot = robot("ironcub_mk1");
-    let mut rng = rng(3);
-    let drawn = weights(&mut || rng.random_range(-0.4..0.4_f32));
-    let mut controller = controller();
-    controller.set_policy(load(&robot, &tensors(drawn.clone()), &[]).unwrap());
-    let (running, [wrench, _], state) = two_ticks(controller);
-    let x = expected_features(&running, &state, &wrench);
-    let matrix = |numbers: &[f32], columns: usize| {
-        DMatrix::from_row_iterator(numbers.len() / columns, columns, numbers.iter().map(|x| f64::from(*x)))
-    };
-    let [w1, b1, w2, w3, b2] = [&drawn[0], &drawn[1], &drawn[2], &drawn[3], &drawn[4]];
-    let units = (matrix(w1, INPUTS) * &x + matrix(b1, 1)).map(f64::tanh);
-    let action = (matrix(w2, HIDDEN) * units + matrix(w3, INPUTS) * &x + matrix(b2, 1)).map(f64::tanh);
-    for (index, found) in running.controller.terms().residual.iter().enumerate() {
-        let scale = if index < 4 { THRUST_RATE } else { JOINT_VELOCITY };
-        assert_within!((found - scale * action[index]).abs(), 1e-11 * scale, "{index}");
-    }
 }
 
 fn tick(controller: Controller, residual: Option<&Residual>) -> Running {

@@ -3,16 +3,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
-use crate::common::{assert_says, configs, experiment, robot};
+use crate::common::{assert_says, configs, experiment};
 use flight_core::BuildError;
-use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value, load, load_aero};
+use flight_io::{AeroConfig, Schema, from_value};
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
 use flight_sim::{
-    Backend, Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_flyable, load_scenario,
+    Backend, Scenario, ScenarioConfig, SimulatorConfig, WindConfig, load_flyable, load_scenario,
 };
-use schemars::JsonSchema;
-use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -33,10 +31,6 @@ fn files(name: &str) -> Vec<PathBuf> {
     files.sort();
     assert!(files.len() > 1, "{name}: {files:?}");
     files
-}
-
-fn parse<T: DeserializeOwned + JsonSchema>(file: &Path) -> T {
-    load(file).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// The resolved table of an experiment's file.
@@ -145,15 +139,6 @@ fn base_may_be_a_name() {
     let expected =
         json!({"aero": {"links": {"base": 0.5}}, "aero_estimate": {"links": {"chest": 0.2, "base": 0.3}}});
     assert_eq!(resolve(&write(&folder, "top.toml", text)).unwrap()["disturbances"], expected);
-}
-
-/// Baseline and aware controller are the same but for their aerodynamics.
-#[test]
-fn the_baseline_is_the_aware_controller_without_air() {
-    let mut baseline = experiment("test1");
-    baseline.controller.aero = experiment("test2").controller.aero;
-    assert_eq!(baseline.controller, experiment("test2").controller);
-    assert_eq!(baseline.simulator, experiment("test2").simulator);
 }
 
 /// `robot` and `path` become absolute, starting at the file that names them, through any `base`.
@@ -323,56 +308,6 @@ fn missing_and_ill_typed_keys_are_named() {
         set(&mut value, key, bad);
         let error = from_value::<ScenarioConfig>(value, "here").unwrap_err();
         assert_says(&error, &["here: ", &format!("`{key}` {words}")]);
-    }
-}
-
-/// Every aerodynamic model parses and builds for the robot.
-#[test]
-fn every_aero_file_is_an_aerodynamic_model() {
-    let robot = robot("ironcub_mk1");
-    for file in files("aero") {
-        let config: AeroConfig = parse(&file);
-        load_aero(&config, &robot).unwrap();
-    }
-}
-
-/// Every controller parses and fits its robot.
-#[test]
-fn every_control_file_is_a_controller() {
-    for file in files("control") {
-        let config: ControllerSection = parse(&file);
-        let is_platform = file.file_stem().unwrap() == "platform";
-        let robot = robot(if is_platform { "platform" } else { "ironcub_mk1" });
-        config.law.check(&robot).unwrap();
-    }
-}
-
-/// Every mission parses and holds intervals.
-#[test]
-fn every_mission_file_is_an_mission() {
-    for file in files("mission") {
-        let config: MissionConfig = parse(&file);
-        config.commands.check().unwrap();
-    }
-}
-
-/// Every simulator parses and fits the robot.
-#[test]
-fn every_simulator_file_is_a_simulator() {
-    let robots = ["ironcub_mk1", "ironcub_mk3"].map(robot);
-    for file in files("simulator") {
-        let config: SimulatorConfig = parse(&file);
-        let is_mk3 = file.file_stem().unwrap().to_string_lossy().starts_with("mk3");
-        config.check(&robots[usize::from(is_mk3)], 0.01).unwrap();
-    }
-}
-
-/// Every wind parses and blows.
-#[test]
-fn every_wind_file_is_a_wind() {
-    for file in files("wind") {
-        let wind = Wind::new(&parse(&file)).unwrap();
-        assert!(wind.velocity(7.0).iter().all(|v| v.is_finite()));
     }
 }
 

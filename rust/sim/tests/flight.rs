@@ -64,12 +64,6 @@ fn data<'a>(result: &'a FlightResult, name: &str) -> &'a [f64] {
     &result.log.series(name).unwrap_or_else(|| panic!("no series `{name}`")).data
 }
 
-/// Greatest of a signal between two times.
-fn peak(result: &FlightResult, name: &str, from: f64, to: f64) -> f64 {
-    let times = data(result, "time").iter().zip(data(result, name));
-    times.filter(|(time, _)| (from..=to).contains(*time)).map(|(_, value)| *value).fold(f64::MIN, f64::max)
-}
-
 /// Error of the CoM along an axis, the one of greatest size, after the start has settled.
 fn com_offset(result: &FlightResult, axis: usize) -> f64 {
     let rows = data(result, "com_position").chunks(3).zip(data(result, "com_setpoint").chunks(3));
