@@ -28,12 +28,15 @@ def healthy():
 
 
 HEALTHY = tuple(healthy())
-OF_BOTH = tuple(name for name in HEALTHY if not rust.load_config(name)["simulator"].get("motors"))
-"""Those that JAX flies too, which has no drives."""
+OF_EVERY_KIND = (
+    *("mk3_min_jerk_mpc", "robustness_mpc", "robustness_observer"),
+    *("test1_published_observer", "test2_sensors", "test2_sensors_mpc"),
+)
+"""Of those that JAX flies too: observer, estimator, predictive law, network and robot, each beside what it changes."""
 
 
 def test_flights_of_every_kind_are_healthy():
-    assert {"test1_observer", "test2_sensors", "test2_sensors_mpc", "robustness_mpc", "mk3_min_jerk_mpc"} < {*HEALTHY}
+    assert {*OF_EVERY_KIND} < {*HEALTHY}
 
 
 @pytest.mark.parametrize("name", HEALTHY)
@@ -49,7 +52,7 @@ def test_the_guard_does_nothing_while_nothing_fails(name):
         np.testing.assert_array_equal(guarded[signal], free[signal], err_msg=signal)
 
 
-@pytest.mark.parametrize("name", OF_BOTH)
+@pytest.mark.parametrize("name", OF_EVERY_KIND)
 def test_jax_flies_as_the_guarded_crate(name, fly_both):
     """Into a wind that rises at once; networks in double precision."""
     table = rust.load_config(name)
