@@ -94,7 +94,11 @@ def test_distances_and_their_derivatives(robot_name, random_states, agree):
     robot, described = load_robot(path), rust.Robot(path)
     config = rust.load_config("test2_mpc")
     del config["controller"]["channels"]["jump"]  # would refuse postures beyond the stops
-    settings, groups = config["controller"]["mpc"]["clearance"], config["controller"]["mpc"]["joint_groups"]
+    # All joints, or nothing that is kept apart would move.
+    groups, mpc = list(described.joint_groups), config["controller"]["mpc"]
+    settings, mpc["joint_groups"] = mpc["clearance"], groups
+    for weights in ("weights", "descent"):
+        mpc[weights]["posture"] = dict.fromkeys(groups, 1.0)
     tree = Kinematics(robot)
     named = {link.name: around(tree, link) for link in robot.aero_links}
     named |= {sole: under(tree, sole) for sole in robot.soles}
