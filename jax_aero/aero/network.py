@@ -7,7 +7,7 @@ axisymmetric model.
 
     wind, joints, LinkGeometry ──features──► x (n,) ──raw_output──► y (39,) ──to_base_axes──► areas (13, 3) [m²]
 
-Equations M23 to M26 of `docs/model`.
+Equations M23 to M25 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from jax_aero.body.spatial import rotate, rotate_back, safe_norm
 from jax_aero.types import Array, Kinematics, pytree, static, with_dtype
 
 Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
-Frame: TypeAlias = Literal["base", "link", "wind"]
+Frame: TypeAlias = Literal["base", "link"]
 Layout: TypeAlias = Literal["component", "link"]
 Activation: TypeAlias = Literal["relu", "tanh", "silu"]
 
@@ -41,8 +41,6 @@ SHADOW_LENGTH = 0.05
 """`ℓ`: distance over which a link moves from upstream of another to downstream of it [m]."""
 SHADOW_RADIUS = 0.10
 """`w`: width of a link's wake, a standard deviation [m]."""
-POLE = 1e-12
-"""Distance of the unit wind from the lateral axis below which its pitch is taken as 90°."""
 
 
 class LinkGeometry(NamedTuple):
@@ -284,7 +282,7 @@ def check_output(frame: str, layout: str) -> None:
     ConfigError
         If frame and layout do not fit; the message names both.
     """
-    possible = {"base": ("component", "link"), "link": ("link",), "wind": ("component",)}
+    possible = {"base": ("component", "link"), "link": ("link",)}
     if frame not in possible:
         raise ConfigError.of("frame", frame, f"one of {', '.join(possible)}")
     if layout not in possible[frame]:
@@ -322,19 +320,18 @@ def raw_output(network: Network, x: Float[Array, " x"]) -> Float[Array, " y"]:
 
 
 def to_base_axes(
-    frame: str, layout: str, y: Float[Array, " y"], wind_b: Float[Array, "3"], rotations: Float[Array, "L 3 3"]
+    frame: str, layout: str, y: Float[Array, " y"], rotations: Float[Array, "L 3 3"]
 ) -> Float[Array, "L 3"]:
     """Return the force areas of the links [m²] in base axes, from an output in its own frame and layout."""
     if layout == "link":
         vectors = y.reshape(-1, 3)
         return rotate(rotations, vectors) if frame == "link" else vectors
     drag, lift, side = y.reshape(3, -1)
-    vectors = jnp.stack([drag, side, lift], axis=-1)
-    return vectors @ wind_axes_from_base(wind_b) if frame == "wind" else vectors
+    return jnp.stack([drag, side, lift], axis=-1)
 
 
 def from_base_axes(
-    frame: str, layout: str, areas: Float[Array, "L 3"], wind_b: Float[Array, "3"], rotations: Float[Array, "L 3 3"]
+    frame: str, layout: str, areas: Float[Array, "L 3"], rotations: Float[Array, "L 3 3"]
 ) -> Float[Array, " y"]:
     """Return an output in its own frame and layout from areas in base axes, the inverse of `to_base_axes`.
 
@@ -342,22 +339,7 @@ def from_base_axes(
     """
     if layout == "link":
         return (rotate_back(rotations, areas) if frame == "link" else areas).reshape(-1)
-    vectors = areas @ wind_axes_from_base(wind_b).T if frame == "wind" else areas
-    return vectors[:, jnp.array([0, 2, 1])].T.reshape(-1)
-
-
-def wind_axes_from_base(wind_b: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Return the rotation to tunnel axes, x along the wind and z up: `Rz(yaw) Ry(pitch − 90°)` of the tables.
-
-    For wind along the lateral axis the pitch is undefined and taken as 90°.
-    """
-    square = wind_b[0] ** 2 + wind_b[2] ** 2
-    is_pole = square < POLE**2
-    rho = jnp.sqrt(jnp.where(is_pole, 1.0, square))
-    c, s = jnp.where(is_pole, 1.0, wind_b[0] / rho), jnp.where(is_pole, 0.0, wind_b[2] / rho)
-    cos_yaw, sin_yaw = jnp.where(is_pole, 0.0, rho), -wind_b[1]
-    side = jnp.stack([sin_yaw * c, cos_yaw, sin_yaw * s])
-    return jnp.stack([wind_b, side, jnp.stack([-s, jnp.zeros_like(s), c])])
+    return areas[:, jnp.array([0, 2, 1])].T.reshape(-1)
 
 
 def network_areas(
@@ -375,7 +357,7 @@ def network_areas(
         Geometry of the links at these positions.
     """
     y = raw_output(network, features(network.blocks, wind_b, joint_position, geometry)).astype(wind_b.dtype)
-    areas = to_base_axes(network.frame, network.layout, y, wind_b, geometry.rotations)
+    areas = to_base_axes(network.frame, network.layout, y, geometry.rotations)
     return areas if network.baseline is None else areas + baseline_areas(network.baseline, wind_b, geometry.axes)
 
 

@@ -28,9 +28,9 @@ class Scenario:
 
     Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`. Some leaves
     were computed from the time step, or, if noise is drawn, from the number of ticks: `replace_values` refuses changes
-    of these. Limits are the controller's: torques are limited by
-    `controller.torque_max`, a copy of `plant.robot.joint_torque_max`. The state holds centre of mass and inertia of the
-    initial robot: after changing them, call `begin` again.
+    of these. Limits are the controller's: torques are limited by `controller.torque_max`, a copy of
+    `plant.robot.joint_torque_max`. The state holds centre of mass and inertia of the initial robot: after changing
+    them, call `begin` again.
     """
 
     plant: Plant

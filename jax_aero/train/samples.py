@@ -79,7 +79,7 @@ def _sample_rows(network: Network, wind: Array, joints: Array, geometry: LinkGeo
         x = features(network.blocks, wind, joints, geometry)
         if network.baseline is not None:
             areas = areas - baseline_areas(network.baseline, wind, geometry.axes)
-        return x, from_base_axes(network.frame, network.layout, areas, wind, geometry.rotations)
+        return x, from_base_axes(network.frame, network.layout, areas, geometry.rotations)
 
     return jax.vmap(features_and_targets)(wind, joints, geometry, areas)
 

@@ -33,7 +33,7 @@ SHAPES = {
     "linear": {"hidden": ()},
     "torso alone": {"hidden": (9,), "joints": (0, 1, 2), "mirror": True},
     "symmetric": {"hidden": (33,), "activation": "tanh", "members": 3, "mirror": True},
-    "tunnel axes": {"hidden": (20, 70), "frame": "wind", "mirror": True},
+    "base axes": {"hidden": (20, 70), "mirror": True},
     "base axes by link": {
         "hidden": (17,),
         "blocks": ALL,

@@ -8,7 +8,7 @@ import pytest
 from experiments.data.ironcub import JOINTS, LINKS
 from jax_aero.aero import network as N  # noqa: N812 (many of its functions are tested)
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
-from jax_aero.aero.dataset import mirrored_joints, tunnel_from_base
+from jax_aero.aero.dataset import mirrored_joints
 from jax_aero.aero.network import init_network
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.kinematics import kinematics
@@ -27,7 +27,6 @@ SHAPES = {
         "layout": "link",
         "members": 2,
     },
-    "wind": {"hidden": (12,), "activation": "tanh", "frame": "wind"},
     "base by link": {"hidden": (), "frame": "base", "layout": "link"},
 }
 
@@ -114,7 +113,7 @@ def test_the_gradient_in_wind_and_joints_is_that_of_differences(ironcub):
 
 
 def test_the_gradient_is_finite_at_rest_and_at_the_poles(ironcub):
-    network = make(ironcub, "wind")
+    network = make(ironcub, "plain")
     q, _ = sample(ironcub, 0)
     geometry = link_geometry(ironcub, q)
     for velocity in (jnp.zeros(3), jnp.array([0.0, 9.0, 0.0]), jnp.array([0.0, -1.0, 0.0])):
@@ -127,22 +126,14 @@ def test_the_gradient_is_finite_at_rest_and_at_the_poles(ironcub):
     assert N.unit_wind(jnp.zeros(3)).tolist() == [1.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(("pitch", "yaw"), [(90.0, 0.0), (30.0, 40.0), (150.0, -70.0), (90.0, 90.0)])
-def test_the_tunnel_frame_is_that_of_the_tables(pitch, yaw):
-    expected = tunnel_from_base(pitch, yaw)
-    np.testing.assert_allclose(N.wind_axes_from_base(jnp.asarray(expected[0])), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("frame", "layout"), [("base", "component"), ("base", "link"), ("link", "link"), ("wind", "component")]
-)
+@pytest.mark.parametrize(("frame", "layout"), [("base", "component"), ("base", "link"), ("link", "link")])
 def test_outputs_turn_to_base_axes_and_back_and_keep_their_length(ironcub, frame, layout):
-    q, wind = sample(ironcub, 5)
+    q, _ = sample(ironcub, 5)
     rotations = link_geometry(ironcub, q).rotations
     areas = jnp.asarray(np.random.default_rng(1).normal(size=(13, 3)))
-    y = N.from_base_axes(frame, layout, areas, wind, rotations)
+    y = N.from_base_axes(frame, layout, areas, rotations)
     np.testing.assert_allclose(jnp.sum(y**2), jnp.sum(areas**2), rtol=1e-12)
-    np.testing.assert_allclose(N.to_base_axes(frame, layout, y, wind, rotations), areas, atol=1e-12)
+    np.testing.assert_allclose(N.to_base_axes(frame, layout, y, rotations), areas, atol=1e-12)
 
 
 @pytest.mark.parametrize(("start", "bound", "bias"), [("published", 1.0, 1.0), ("unit", np.sqrt(3.0), 0.0)])
@@ -158,7 +149,7 @@ def test_first_weights_have_the_bounds_of_their_start(ironcub, start, bound, bia
 
 def test_a_component_is_drag_lift_side_as_x_z_y():
     y = jnp.arange(39.0)
-    areas = N.to_base_axes("base", "component", y, jnp.array([1.0, 0.0, 0.0]), jnp.zeros((13, 3, 3)))
+    areas = N.to_base_axes("base", "component", y, jnp.zeros((13, 3, 3)))
     assert areas[2].tolist() == [2.0, 28.0, 15.0]
 
 
@@ -185,9 +176,7 @@ def test_a_link_behind_another_is_in_its_shadow():
     assert shadow[2] < 0.01
 
 
-@pytest.mark.parametrize(
-    ("frame", "layout", "key"), [("link", "component", "layout"), ("wind", "link", "layout"), ("body", "link", "frame")]
-)
+@pytest.mark.parametrize(("frame", "layout", "key"), [("link", "component", "layout"), ("body", "link", "frame")])
 def test_an_output_that_says_nothing_is_refused(ironcub, frame, layout, key):
     with pytest.raises(ConfigError, match=rf"`{key}` is .*; expected"):
         init_network(jax.random.key(0), ironcub, hidden=(4,), frame=frame, layout=layout)

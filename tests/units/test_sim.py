@@ -16,11 +16,12 @@ import pytest
 from jax_aero import rust, sim
 from jax_aero.aero import WeightedModel
 from jax_aero.base import keys
-from jax_aero.base.places import HOME
+from jax_aero.base.places import HOME, find
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.jets import JetsState
 from jax_aero.body.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotate
 from jax_aero.sim import plant
 from jax_aero.types import Array, Setpoint, pytree, replace_values
@@ -206,6 +207,11 @@ def test_double_precision_is_never_silently_missing():
         double = sim.prepare(config)
     with pytest.raises(ValueError, match=r"prepared in float64, but its numbers are float32 here"):
         jax.eval_shape(lambda scenario, state: sim.rollout(scenario, state, 2, sim.keep_row), *double)
+
+
+def test_a_robot_of_another_configuration_is_refused():
+    with pytest.raises(ValueError, match=r"`robot` is that of .*sparrow\.toml; expected that .*mk1"):
+        sim.prepare(rust.load_config("test2"), load_robot(find("robot", "sparrow")), dtype=np.float32)
 
 
 def test_what_others_were_computed_from_does_not_change():

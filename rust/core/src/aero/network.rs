@@ -9,7 +9,7 @@
 //! `mlp` evaluates. Card and weights are checked once, when the network is built; the evaluation neither panics nor
 //! allocates.
 //!
-//! Equations M23, M24 and M26 of `docs/model`.
+//! Equations M23 and M24 of `docs/model`.
 
 mod card;
 mod mirror;
@@ -147,7 +147,7 @@ impl Network {
         self.place_links(robot, kinematics);
         self.fill_inputs(&wind_b, &kinematics.joint_position);
         self.evaluator.evaluate(&self.inputs, &mut self.outputs);
-        self.read_areas(&wind_b);
+        self.read_areas();
         self.add_baseline(robot, &wind_b);
         let pressure = self.k_a * v_i.norm_squared();
         forces_i.fill(Vector3::zeros());
@@ -222,7 +222,7 @@ impl Network {
     }
 
     /// Converts the outputs of the input and of its mirror image to force areas in base axes (M25).
-    fn read_areas(&mut self, wind_b: &Vector3<f64>) {
+    fn read_areas(&mut self) {
         for ((output, scale), offset) in self.outputs.iter_mut().zip(&self.scale).zip(&self.offset) {
             for y in output {
                 *y = f64::from(*scale) * *y + f64::from(*offset);
@@ -230,30 +230,26 @@ impl Network {
         }
         let n = self.links.len();
         let (frame, layout, outputs) = (self.frame, self.layout, &self.outputs);
-        // Component order: along the wind, sideways and up, or x, y and z.
         let read = |sample: usize, link: usize| match layout {
             Layout::Component => {
                 Vector3::new(outputs[link][sample], outputs[2 * n + link][sample], outputs[n + link][sample])
             }
             Layout::Link => Vector3::from_fn(|axis, _| outputs[3 * link + axis][sample]),
         };
-        let b_from_tunnel = b_from_tunnel(wind_b);
         for (index, link) in self.links.iter_mut().enumerate() {
             let mut area = read(0, index);
             if let Some(mirror) = &self.mirror {
                 let (image, _) = mirror.links[index];
                 let of_image = read(1, image);
-                // A reflection reverses the sideways component in tunnel axes as it does y in base axes.
                 area += match frame {
                     OutputFrame::Link => mirror.links[image].1 * of_image,
-                    OutputFrame::Base | OutputFrame::Wind => reflect(&of_image),
+                    OutputFrame::Base => reflect(&of_image),
                 };
                 area *= 0.5;
             }
             link.area_b = match frame {
                 OutputFrame::Base => area,
                 OutputFrame::Link => link.b_from_l * area,
-                OutputFrame::Wind => b_from_tunnel * area,
             };
         }
     }
@@ -312,20 +308,4 @@ fn shade(links: &mut [PlacedLink], wind_b: &Vector3<f64>, pairs: &mut [[f64; 2]]
             other.shadow += (1.0 - behind) * overlap;
         }
     }
-}
-
-/// Rotation from wind-tunnel axes (along the wind, sideways, up) to base axes, from the unit vector of the air's
-/// velocity (M26).
-///
-/// ```text
-/// û = (cos p cos y, −sin y, sin p cos y)   with cos y ≥ 0;   up = (−sin p, 0, cos p)
-/// ```
-///
-/// For air along the base's y axis p is undetermined and set to zero.
-fn b_from_tunnel(wind_b: &Vector3<f64>) -> Matrix3<f64> {
-    let cos_y = libm::hypot(wind_b.x, wind_b.z);
-    let (cos_p, sin_p) = if cos_y < 1e-12 { (1.0, 0.0) } else { (wind_b.x / cos_y, wind_b.z / cos_y) };
-    let sin_y = -wind_b.y;
-    let side = Vector3::new(sin_y * cos_p, cos_y, sin_y * sin_p);
-    Matrix3::from_columns(&[*wind_b, side, Vector3::new(-sin_p, 0.0, cos_p)])
 }

@@ -79,8 +79,6 @@ pub enum OutputFrame {
     Base,
     /// Axes of the link.
     Link,
-    /// Axes of the wind tunnel: along the air, sideways, up.
-    Wind,
 }
 
 /// Order of the numbers.
@@ -197,10 +195,8 @@ impl Card {
 
     fn check(&self, joints: &[&str], links: &[&str]) -> Result<(), BuildError> {
         let Output { frame, layout, .. } = self.output;
-        if (frame, layout) == (OutputFrame::Link, Layout::Component)
-            || (frame, layout) == (OutputFrame::Wind, Layout::Link)
-        {
-            let expected = "base with either layout, link with link, wind with component";
+        if (frame, layout) == (OutputFrame::Link, Layout::Component) {
+            let expected = "base with either layout, link with link";
             let found = format!("frame {frame:?} with layout {layout:?}");
             return Err(BuildError::bad_entry("output", found, expected));
         }
