@@ -156,21 +156,6 @@ def least_squares(matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " 
     return np.asarray(np.linalg.lstsq(matrix, target, rcond=None)[0], dtype=np.float64)
 
 
-def spread(
-    matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " B"], posture: Int[np.ndarray, " B"]
-) -> Float[np.ndarray, " k"]:
-    """Return the standard errors of least-squares weights over the choice of postures, by the jackknife."""
-    gram, moment = matrix.T @ matrix, matrix.T @ target
-    without = []
-    for number in np.unique(posture):
-        own = matrix[posture == number]
-        without.append(np.linalg.solve(gram - own.T @ own, moment - own.T @ target[posture == number]))
-    k = len(without)
-    table = np.array(without, dtype=np.float64)
-    error: Floats = np.sqrt((k - 1) / k * np.sum((table - table.mean(axis=0)) ** 2, axis=0))
-    return error
-
-
 def fit(
     dataset: Dataset, axes: Float[np.ndarray, "B L 3"], families: Mapping[str, Sequence[str]]
 ) -> dict[str, FamilyFit]:

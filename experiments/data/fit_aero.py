@@ -2,14 +2,13 @@
 
 Lasso selects terms and least squares fits them, family by family. Every coefficient set of the robot is evaluated on
 the data, and the fit also on postures that were left out of it, as is a network that `train` made with `--out
-results/training/NAME`; intervals are over the choice of postures. If the robot has the published coefficients, their
-terms are refitted and the origin of their normal forces is tested. The result goes to `results/fit_aero/NAME/`, with
-the new coefficients as TOML; `jax-aero figures fig4_fit` draws it.
+results/training/NAME`; intervals are over the choice of postures. The result goes to `results/fit_aero/NAME/`, with the
+new coefficients as TOML; `jax-aero figures fig4_fit` draws it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,8 +26,6 @@ from jax_aero.base import places, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import RobotModel, load_robot
 
-RIGHT = "corrected"
-"""Coefficient set of the robot with the head's misprint corrected."""
 LEFT_OUT, NETWORK = "refit, posture left out", "network, posture left out"
 
 
@@ -62,17 +59,16 @@ def compute(name: str, config: FitConfig) -> Findings:
     predicted[LEFT_OUT] = fit.held_out_areas(dataset, axes, families)[rows]
     if (trained := held_out_network(name, computed)) is not None:
         predicted[NETWORK] = trained
-    refitted = published_terms(robot, dataset, axes, families) if RIGHT in variants else {}
     errors = {variant: total_errors(robot, areas, computed) for variant, areas in predicted.items()}
     errors["nothing"] = total_errors(robot, np.zeros_like(computed.force_area_b), computed)
     return Findings(
         f"Axisymmetric model fitted to {path.name}",
-        to_dataset(dataset, axes, variants, refitted),
-        figures(quality, fits, refitted) | error_figures(errors),
+        to_dataset(dataset, axes, variants),
+        figures(quality, fits) | error_figures(errors),
         inputs={"dataset": path.name, "sha256": dataset.sha256, "provenance": dict(dataset.provenance)},
         files=[config.robot, *([training_of(name)] if NETWORK in predicted else [])],
         texts={"refit.toml": toml(fits, path.name, name)},
-        report=report(quality, fits, refitted) + "\n\n" + error_report(errors),
+        report=report(quality, fits) + "\n\n" + error_report(errors),
     )
 
 
@@ -152,96 +148,26 @@ def error_report(errors: Mapping[str, Errors]) -> str:
     return "\n".join(lines)
 
 
-class RefittedLink(NamedTuple):
-    """Published model of one family, with its terms refitted."""
-
-    printed: Floats
-    """(5,) published drag weights, the head's misprint corrected [m²]."""
-    found: Floats
-    """(5,) refitted weights of the same terms [m²]."""
-    spread: Floats
-    """(5,) standard errors of the refitted weights, by leaving postures out [m²]."""
-    printed_cna: float
-    """Published normal-force coefficient [m²]."""
-
-
-def published_terms(
-    robot: RobotModel, dataset: Dataset, axes: Floats, families: Mapping[str, Sequence[str]]
-) -> dict[str, RefittedLink]:
-    """Fit exactly the terms of the published model."""
-    printed = np.asarray(robot.aero_links.coefficients[RIGHT])
-    geometry = fit.angles(axes, dataset.wind_b)
-    force = fit.parts(dataset.force_area_b, geometry.wind)
-    found = {}
-    for family, members in families.items():
-        links = [dataset.links.index(name) for name in members]
-        weights = printed[links[0], :5]
-        used = np.flatnonzero(weights)
-        terms = [fit.MODEL_TERMS[index] for index in used]
-        matrix = fit.columns_of(terms, geometry.cos[:, links].ravel(), geometry.sin[:, links].ravel())
-        target, posture = force.drag[:, links].ravel(), np.repeat(dataset.family, len(links))
-        table = RefittedLink(weights, np.zeros(5), np.zeros(5), float(printed[links[0], 5]))
-        table.found[used] = fit.least_squares(matrix, target)
-        table.spread[used] = fit.spread(matrix, target, posture)
-        found[family] = table
-    return found
-
-
-def has_same_digits(found: float, printed: float, digits: int, slack: int = 0) -> bool:
-    """Return whether two numbers rounded to significant digits agree, with the last digit off by at most `slack`."""
-    step = 10.0 ** (np.floor(np.log10(abs(printed))) - digits + 1)
-    return bool(abs(round(found / step) - round(printed / step)) <= slack)
-
-
-def figures(
-    quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit], refitted: Mapping[str, RefittedLink]
-) -> dict[str, float]:
+def figures(quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit]) -> dict[str, float]:
     """Return the figures of the comparison."""
     found: dict[str, float] = {}
     for variant, measure in quality.items():
         found[f"{variant}: link mean square error [m4]"] = measure.mse
         found[f"{variant}: R2"] = measure.r2
-    if refitted:
-        found |= agreement(refitted)
     for family, kept in fits.items():
         found[f"{family}: w5 signed [m2]"] = kept.cna
         found[f"{family}: w5 of the magnitude [m2]"] = kept.cna_of_magnitude
     return found
 
 
-def agreement(refitted: Mapping[str, RefittedLink]) -> dict[str, float]:
-    """Return how many of the published drag coefficients the refit of their terms confirms."""
-    pairs = [
-        (float(table.found[i]), float(table.printed[i]), float(table.spread[i]))
-        for table in refitted.values()
-        for i in np.flatnonzero(table.printed)
-    ]
-    found: dict[str, float] = {"drag coefficients of the published model": len(pairs)}
-    found["of these, refitted equal to two digits"] = sum(has_same_digits(a, b, 2) for a, b, _ in pairs)
-    found["of these, with the second digit off by at most 1"] = sum(has_same_digits(a, b, 2, 1) for a, b, _ in pairs)
-    found["of these, refitted within 5 %"] = sum(abs(a / b - 1.0) <= 0.05 for a, b, _ in pairs)
-    found["of these, refitted within two standard errors"] = sum(abs(a - b) <= 2.0 * s for a, b, s in pairs)
-    return found
-
-
-def report(
-    quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit], refitted: Mapping[str, RefittedLink]
-) -> str:
+def report(quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit]) -> str:
     """Return the printed tables."""
     lines = [f"{'variant':<14} link MSE [m4]     R2"]
     lines += [f"{name:<14} {q.mse:13.3g} {q.r2:6.2f}" for name, q in quality.items()]
-    if refitted:
-        lines += ["", "drag coefficients, published terms    printed     refit  +- spread"]
-    for family, table in refitted.items():
-        for index in np.flatnonzero(table.printed):
-            printed, found, spread = (values[index] for values in table[:3])
-            mark = "" if has_same_digits(found, printed, 2) else "  differs"
-            lines.append(f"  {family:<12} w{index}                  {printed:10.5f} {found:10.5f}  {spread:.5f}{mark}")
-    lines += ["", "normal-force coefficient      printed  of magnitude   signed   terms that Lasso keeps"]
+    lines += ["", "normal-force coefficient   of magnitude   signed   terms that Lasso keeps"]
     for family, kept in fits.items():
         terms = " ".join(f"w{fit.MODEL_TERMS.index(term)}" for term in kept.terms)
-        printed = f"{refitted[family].printed_cna:.4f}" if refitted else "none"
-        lines.append(f"  {family:<24} {printed:>10} {kept.cna_of_magnitude:12.4f} {kept.cna:9.4f}   {terms}")
+        lines.append(f"  {family:<24} {kept.cna_of_magnitude:12.4f} {kept.cna:9.4f}   {terms}")
     return "\n".join(lines)
 
 
@@ -254,9 +180,7 @@ def toml(fits: Mapping[str, fit.FamilyFit], source: str, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def to_dataset(
-    dataset: Dataset, axes: Floats, variants: Mapping[str, Floats], refitted: Mapping[str, RefittedLink]
-) -> xr.Dataset:
+def to_dataset(dataset: Dataset, axes: Floats, variants: Mapping[str, Floats]) -> xr.Dataset:
     """Return the data of the figure with labels: every row over the angle of attack, and the coefficients."""
     geometry = fit.angles(axes, dataset.wind_b)
     force = fit.parts(dataset.force_area_b, geometry.wind)
@@ -275,14 +199,9 @@ def to_dataset(
     }
     meaning = {"units": "m2", "long_name": "w0 .. w5 of the axisymmetric model"}
     variables["coefficients"] = (("variant", "link", "term"), np.stack(list(variants.values())), meaning)
-    for key in ("printed", "found", "spread") if refitted else ():
-        table = np.stack([getattr(entry, key) for entry in refitted.values()])
-        variables[f"published_terms_{key}"] = (("family", "drag_term"), table, {"units": "m2"})
     coords = {
         "link": list(dataset.links),
         "variant": list(variants),
         "term": [f"w{index}" for index in range(6)],
-        "family": list(refitted),
-        "drag_term": [f"w{index}" for index in range(5)],
     }
     return xr.Dataset(variables, coords)

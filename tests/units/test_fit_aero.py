@@ -22,13 +22,6 @@ from tests.cfd_table import made_up_dataset, modelled_rows, solver_table
 from tests.measurements import measured
 
 
-def test_the_spread_of_a_mean_is_the_standard_error_of_the_postures():
-    """Of the mean of n numbers the jackknife gives what theory does, σ / √n with n − 1 degrees of freedom."""
-    target = np.array([3.0, -1.0, 4.0, 1.5, -5.0])
-    found = fit.spread(np.ones((5, 1)), target, np.arange(5))
-    measured("spread", abs(found[0] - target.std(ddof=1) / np.sqrt(5)), 1e-14)
-
-
 def test_penalties_are_shares_of_the_largest_useful_one():
     """The unit of the target does not matter; under the largest one the constant stands alone."""
     rng = np.random.default_rng(3)
@@ -166,15 +159,6 @@ def test_a_fit_of_the_magnitude_forgets_the_sign(robot, sampled, axes, families,
         assert abs(kept.cna) < 0.2 * truth[link, 5]
 
 
-@pytest.mark.parametrize(
-    ("found", "printed", "same"),
-    [(0.01892, 0.0189, True), (0.0134, 0.0123, False), (-0.00801, -0.00804, True), (-0.0080, -0.0082, False)],
-)
-def test_digits_are_compared_as_printed(found, printed, same):
-    assert fit_aero.has_same_digits(found, printed, 2) is same
-    assert fit_aero.has_same_digits(found, printed, 2, slack=2)
-
-
 @pytest.fixture(scope="module")
 def result(tmp_path_factory, robot, sampled, axes):
     """The command on data made with the corrected model."""
@@ -192,10 +176,6 @@ def test_the_command_writes_results_a_manifest_and_toml(result):
     assert status == 0
     manifest = json.loads((folder / "fit_aero" / "freestream" / "manifest.json").read_text())
     measured("link mean square error [m4]", manifest["summary"]["corrected: link mean square error [m4]"], 1e-12)
-    assert (
-        manifest["summary"]["of these, refitted within 5 %"]
-        == manifest["summary"]["drag coefficients of the published model"]
-    )
     assert str(folder) not in json.dumps(manifest)
     text = (folder / "fit_aero" / "freestream" / "refit.toml").read_text()
     assert "[coefficients.refit]" in text

@@ -12,14 +12,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from experiments import Refused
 from experiments.data.import_bench import Bench
-from experiments.studies.identify_engine.second_order import STEP, Array, fill
 from jax_aero.body.shaft import Ambient, Shaft, speed_rate, step_wanted, thrust_of, wanted_speed
 
+Array = NDArray[np.float64]
+
+STEP = 0.01
+"""Sampling time of a run [s]."""
 BLOCK = 5.0
 """Length of a block [s]."""
 GAP = 0.5
@@ -145,6 +149,12 @@ def resample(time: Array, stamps: Array, values: Array) -> Array:
     after = np.clip(np.searchsorted(stamps, time), 1, stamps.size - 1)
     is_known = (stamps[after] - stamps[after - 1] <= GAP) & (time <= stamps[-1] + STEP)
     return np.where(is_known, np.interp(time, stamps, values), np.nan)
+
+
+def fill(values: Array) -> Array:
+    """Return values with those that are missing on the line between their neighbours."""
+    row, known = np.arange(values.size), np.isfinite(values)
+    return np.interp(row, row[known], values[known])
 
 
 def zero_drift(bench: Bench, span: tuple[float, float]) -> Array:

@@ -1,8 +1,8 @@
 """An engine identified from a log of a test bench.
 
 `jax-aero study identify_engine NAME --set bench=FILE` reads a dataset of `jax-aero data import-bench` with speeds of
-the shaft, thrusts, or both, and identifies an engine of the shaft's speed (M176, `shaft`), and M32 (`throttled`)
-beside it from the thrusts. `span` is the time of the run. Every 5 s of it are also predicted by the fit to the rest.
+the shaft, thrusts, or both, and identifies an engine of the shaft's speed (M176, `shaft`). `span` is the time of the
+run. Every 5 s of it are also predicted by the fit to the rest.
 
 The result goes to `results/identify_engine/NAME/`.
 """
@@ -12,21 +12,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
 import xarray as xr
 
 from experiments import Refused
 from experiments.data.import_bench import load_bench
 from experiments.studies.identify_engine import shaft
-from experiments.studies.identify_engine.second_order import Array, Log, identify, simulate, smooth
 from experiments.study import Findings, Study
 from jax_aero.base import tables
 from jax_aero.base.tables import Interval, Positive
 from jax_aero.body.shaft import DENSITY, TEMPERATURE, Ambient
-
-THROTTLE = np.array([0.0, 100.0])
-"""Range of the throttle of a bench [%]."""
 
 
 class EngineLogs(tables.Table, frozen=True):
@@ -43,7 +37,7 @@ class EngineLogs(tables.Table, frozen=True):
 
 
 def compute(name: str, logs: EngineLogs) -> Findings:
-    """Identify an engine of the shaft's speed, and M32 beside it."""
+    """Identify an engine of the shaft's speed."""
     if logs.bench is None:
         raise Refused("there is no log; expected --set bench=FILE, a dataset of `jax-aero data import-bench`")
     ambient = Ambient.of(logs.density, logs.temperature)
@@ -57,29 +51,9 @@ def compute(name: str, logs: EngineLogs) -> Findings:
     speed, thrust = fitted.held_out
     summary |= shaft.errors(run, speed, thrust, full, "each 5 s predicted by the rest")
     signals = {"speed_simulated": fitted.speed, "thrust_simulated": fitted.thrust}
-    if np.isfinite(run.thrust).any():
-        whole, held_out = of_second_order(run)
-        for label, thrust in (("M32", whole), ("M32, each 5 s predicted by the rest", held_out)):
-            summary |= shaft.errors(run, np.nan * thrust, thrust, full, label)
-        signals["thrust_second_order"] = whole
     signals |= {key: getattr(run, key) for key in ("wanted", "throttle", "speed", "thrust", "drift")}
     data = xr.Dataset({key: (("time",), value) for key, value in signals.items()}, {"time": run.time})
     return Findings(f"Engine {name} identified on a bench", data, summary)
-
-
-def of_second_order(run: shaft.Run) -> tuple[Array, Array]:
-    """Return thrusts [N] simulated by M32: fitted to the run, and of every block by the fit to the rest."""
-    throttle = 100.0 * (run.wanted - run.wanted.min()) / np.ptp(run.wanted) if run.has_wanted else run.throttle
-    block, held_out = run.blocks, np.full(run.time.size, np.nan)
-
-    def fitted_to(rows: Array) -> Array:
-        with jax.enable_x64(True):
-            found = identify(Log(run.time, throttle, run.thrust), THROTTLE, rows)
-            return simulate(found, throttle, smooth(run.thrust))
-
-    for left in range(block[-1] + 1):
-        held_out[block == left] = fitted_to(block != left)[block == left]
-    return fitted_to(block >= 0), held_out
 
 
 STUDY = Study("identify_engine", __doc__, EngineLogs, compute, ("engine",), backend="jax")
