@@ -250,19 +250,6 @@ def items(node: Node) -> Node:
     return found
 
 
-def described(schema: Node, key: str) -> tuple[str, str]:
-    """Return meaning and unit of a dotted key of files with this schema, empty if it has no such key."""
-    tables, node = schema.get("$defs", {}), schema
-    for part in key.split("."):
-        inner = tables[name] if (name := name_of(node)) else node
-        options = (kind["properties"][part] for _, _, kind in kinds(inner) if part in kind.get("properties", {}))
-        given = next(options, None)
-        if given is None:
-            return "", ""
-        node = {**_given(given), "description": given.get("description", "")}
-    return _markdown(node["description"])
-
-
 def _section(node: Node, tables: Mapping[str, Node]) -> Iterator[str]:
     yield f"\n{_markdown(node.get('description', ''))[0]}\n"
     for tag, value, kind in kinds(node):

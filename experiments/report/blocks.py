@@ -1,4 +1,4 @@
-"""Tables of pages, written from what they show: kept results, claims, flights, configurations.
+"""Tables of pages, written from what they show: kept results and flights.
 
 A page has a block between two comments, the first of which is TOML:
 
@@ -26,8 +26,8 @@ from typing import Any
 
 import msgspec
 
-from experiments import Refused, schema, studies
-from experiments.report import command, kept, kept_tables, paper
+from experiments import Refused, studies
+from experiments.report import kept, kept_tables
 from experiments.report.kept_tables import Names, Rows, Value, by_heading, of_columns, one
 from experiments.report.page import table
 from jax_aero import rust
@@ -39,23 +39,17 @@ BLOCK = re.compile(r"^<!-- table\n(?P<asks>.*?)^-->\n.*?^<!-- end -->$", re.MULT
 
 
 class Asked(msgspec.Struct, forbid_unknown_fields=True):
-    """What a block shows: one of `kept`, `claims`, `flights` and `config`."""
+    """What a block shows: one of `kept` and `flights`."""
 
     kept: str = ""
     """A kept result."""
-    claims: Names = []
-    """Keys of claims, of the paper's table or of a sweep."""
     flights: Names = []
     """Experiments, which are flown."""
-    config: str = ""
-    """A file of `configs`: `control/observer`."""
     rows: Any = {}
-    """Of a sweep: levels by axis, all of an axis that is left out; of a study: cases; of a configuration: its keys."""
+    """Of a sweep: levels by axis, all of an axis that is left out; of a study: cases."""
     across: str = ""
     """Axis of a sweep whose levels are columns, of one quantity."""
     columns: Names = []
-    digits: int = 2
-    """Least number of significant digits of a measured number; those before the point are all shown."""
 
 
 def files() -> dict[Path, str]:
@@ -88,7 +82,7 @@ def written(text: str, path: Path) -> str:
 
 def shows(asked: Asked) -> str:
     """Return the table that a block asks for."""
-    sources = {"kept": _of_kept, "claims": _of_claims, "flights": _of_flights, "config": _of_config}
+    sources = {"kept": _of_kept, "flights": _of_flights}
     named = [source for source in sources if getattr(asked, source)]
     if len(named) != 1:
         raise Refused(f"a table shows {' and '.join(named) or 'nothing'}; expected one of {', '.join(sources)}")
@@ -99,21 +93,11 @@ def shows(asked: Asked) -> str:
 def _of_kept(asked: Asked) -> Rows:
     document = kept.read(asked.kept)
     if not document.rows:
-        return kept_tables.of_study(document, asked.columns, asked.rows, asked.digits)
+        return kept_tables.of_study(document, asked.columns, asked.rows)
     if not isinstance(asked.rows, dict):
         axes = ", ".join(axis.name for axis in document.axes)
         raise Refused(f"rows is {asked.rows}; expected levels by axis: {axes}")
-    return kept_tables.of_sweep(document, asked.columns, asked.rows, asked.across, asked.digits)
-
-
-def _of_claims(asked: Asked) -> Rows:
-    found, claims = command.documented(), paper.all_claims()
-    rows = []
-    for text, key in by_heading(asked.claims).items():
-        states, finding = one(claims, key, "claim").states, one(found, key, "finding of the claim")
-        said = {"claim": states if text == key else text, "measured": finding.measured, "verdict": str(finding.verdict)}
-        rows.append({name: Value(cell) for name, cell in said.items()})
-    return of_columns(asked.columns or ["claim", "verdict"], rows, {}, asked.digits)
+    return kept_tables.of_sweep(document, asked.columns, asked.rows, asked.across)
 
 
 def _of_flights(asked: Asked) -> Rows:
@@ -128,7 +112,7 @@ def _of_flights(asked: Asked) -> Rows:
             row[figure] = Value(number.values, number.unit.replace("deg", "°"))
         rows.append(row)
     labels = {name: figure.label for name, figure in rust.figures().items()} | {"lost_time": "lost at"}
-    headings, cells = of_columns(asked.columns, rows, labels, asked.digits)
+    headings, cells = of_columns(asked.columns, rows, labels)
     texts = [f"`{name}`" if text == name else text for text, name in by_heading(asked.flights).items()]
     return ["flight", *headings], [[text, *row] for text, row in zip(texts, cells, strict=True)]
 
@@ -137,26 +121,3 @@ def _of_flights(asked: Asked) -> Rows:
 def _flown(name: str) -> tuple[Mapping[str, Any], rust.FlightResult]:
     config = rust.load_config(name)
     return config, rust.fly(config)
-
-
-def _of_config(asked: Asked) -> Rows:
-    folder, _, name = asked.config.partition("/")
-    node = one(rust.schemas(), folder, "folder of configs with keys")
-    table = rust.read_table(places.find(folder, name), node, {})
-    keys = by_heading(asked.rows)
-    rows = []
-    for text, key in keys.items():
-        value: Any = table
-        for part in key.split("."):
-            value = one(value if isinstance(value, Mapping) else {}, part, "key")
-        meaning, unit = schema.described(node, key)
-        cells = {"key": f"`{key}`" if text == key else text, "value": f"{_plain(value)} {unit}".rstrip()}
-        rows.append({column: Value(cell) for column, cell in (cells | {"meaning": meaning}).items()})
-    return of_columns(asked.columns or ["key", "value"], rows, {}, asked.digits)
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, list):
-        return f"({', '.join(map(_plain, value))})"
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return f"{value:g}".replace("-", "−") if is_number else str(value)

@@ -37,7 +37,7 @@ class Value(NamedTuple):
     unit: str = ""
 
     def text(self, digits: int, unit: str | None = None) -> str:
-        """Return it in a unit."""
+        """Return it in a unit, a number with at least so many significant digits."""
         if self.value is None or self.value != self.value:
             return ""
         if isinstance(self.value, str):
@@ -61,7 +61,7 @@ def one(known: Mapping[str, T], name: str, what: str) -> T:
     return known[name]
 
 
-def of_columns(names: Names, rows: Sequence[Mapping[str, Value]], labels: Mapping[str, str], digits: int) -> Rows:
+def of_columns(names: Names, rows: Sequence[Mapping[str, Value]], labels: Mapping[str, str], digits: int = 2) -> Rows:
     """Return headings with units, and the cells below them; a column has one unit."""
     headings, columns = [], []
     for heading, name in by_heading(names).items():
