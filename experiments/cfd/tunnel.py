@@ -40,8 +40,6 @@ NEAR = 1.0
 SPEED = 1.0
 """Greatest difference of their speeds [m/s]."""
 SUPPORT = "support"
-LATERAL = 0.03
-"""Difference in lateral force area, base axes, from which its place is of interest [m²]."""
 
 
 class TunnelConfig(tables.Table, frozen=True):
@@ -188,11 +186,6 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
             f"{name}: moment, distance [N m at 10 m/s]": turned[place],
             f"{name}: moment, standard deviation of the tunnel's [N m at 10 m/s]": unsure[place],
         }
-        lateral = difference[place, 1]
-        if abs(lateral) > LATERAL:
-            # The moments differ by r × ΔF, of which the lateral force is the greatest part.
-            for axis, arm in (("x", twist[place, 2] / lateral), ("z", -twist[place, 0] / lateral)):
-                found[f"{name}: difference in lateral force, {axis} from the centre of mass [m]"] = arm
     for label, rows in (("robot alone", alone), ("support in the wind", ~alone)):
         if rows.any():
             found[f"{label}: cases"] = int(rows.sum())

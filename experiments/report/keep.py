@@ -1,8 +1,8 @@
 """Keep the figures of finished results in `docs/results/`.
 
 `jax-aero report keep NAME` reads the sweep NAME, or any other result given by its folder below `results/`, such as
-`wind_observer/turbulence`, and writes NAME.json. `--all` does so for everything
-that is kept, where its result is there; `--list` says how old each is.
+`wind_observer/turbulence`, and writes NAME.json. `--all` does so for everything that is kept, where its result is
+there.
 """
 
 from __future__ import annotations
@@ -47,10 +47,6 @@ def main(arguments: Sequence[str]) -> int:
     def work() -> None:
         if not places.IS_CHECKOUT:
             raise Refused("results are kept in docs/ of a checkout of the repository, and this is none")
-        if given.list:
-            for name in kept.names():
-                _say(kept.read(name))
-            return
         for folder in _chosen(given):
             if folder.is_dir() and (difference := outdated.result(folder.parent.name, folder)):
                 raise Refused(f"{os.path.relpath(folder)} is {ANOTHER} ({difference})")
@@ -66,7 +62,6 @@ def _parser() -> argparse.ArgumentParser:
     complete_with(named, lambda: places.names("sweeps"))
     parser.add_argument("--name", dest="named", metavar="NAME", help="name of the kept result")
     parser.add_argument("--all", action="store_true", help="everything that is kept, where its result is there")
-    parser.add_argument("--list", action="store_true", help="list what is kept, and whether its configuration changed")
     parser.add_argument("--results", type=Path, default=places.RESULTS, metavar="DIR", help="folder of results")
     return parser
 
@@ -83,14 +78,6 @@ def _chosen(given: argparse.Namespace) -> Iterator[Path]:
             yield folder
         else:
             print(f"{name} stays as it is: {os.path.relpath(folder)} is not there")
-
-
-def _say(document: Kept) -> None:
-    """Print when a result was made, and whether its sweep is another one by now."""
-    kind, _, name = document.result.partition("/")
-    is_shipped = kind == "sweeps" and name in places.names("sweeps")
-    changed = "configuration changed since" if is_shipped and Design(spec.load(name)).digest != document.digest else ""
-    print(f"  {document.name:<24}{document.created[:10]}  {changed}".rstrip())
 
 
 def of_folder(folder: Path, named: str | None = None) -> Kept:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.cluster import Ray
 from experiments.studies.design import robots
 from experiments.sweep.keys import set_all
 from experiments.sweep.perturbation import Perturbation
@@ -71,7 +70,7 @@ class Job(NamedTuple):
     seed: int
 
 
-def fly_block(_: None, job: Job) -> list[Row]:
+def fly_block(job: Job) -> list[Row]:
     """Return a row per design: its trim, and the figures of its flights (draws, flights, figures)."""
     base, drawn, rows = rust.load_config(BASE), tables.load(PERTURBATION, Perturbation), []
     with TemporaryDirectory() as folder:
@@ -110,15 +109,12 @@ def judge(config: rust.Config, flown: rust.FlightResult) -> list[float]:
     return [lost, *np.sqrt([tracking, *squares]), thrust, lean, sink]
 
 
-def fly(jobs: Mapping[int, Job], work: Work, processes: int, cluster: str | None) -> dict[int, list[Row]]:
+def fly(jobs: Mapping[int, Job], work: Work, processes: int) -> dict[int, list[Row]]:
     """Return the rows of blocks; finished ones are not flown."""
     done: dict[int, list[Row]] = {number: rows for number in jobs if (rows := work.read_json(str(number))) is not None}
     left = {number: job for number, job in jobs.items() if number not in done}
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        answers: Iterator[tuple[int, list[Row]]] = pool.imap_unordered(_numbered, left.items())
-        if cluster:
-            answers = Ray(workers=processes).spread(fly_block, None, left)
-        for number, rows in answers:
+        for number, rows in pool.imap_unordered(_numbered, left.items()):
             work.write_json(str(number), rows)
             done[number] = rows
             print(f"\r{len(done)} of {len(jobs)} blocks", end="", file=sys.stderr, flush=True)
@@ -126,4 +122,4 @@ def fly(jobs: Mapping[int, Job], work: Work, processes: int, cluster: str | None
 
 
 def _numbered(item: tuple[int, Job]) -> tuple[int, list[Row]]:
-    return item[0], fly_block(None, item[1])
+    return item[0], fly_block(item[1])

@@ -2,15 +2,14 @@
 
 `jax-aero study design [PART]`: `sensitivities` of a hover in wind to every number of both robots, by one gradient;
 `designs`, flights of designs in the realistic simulation; `confirmed`, the best of these with other draws, which reads
-`results/design/designs/`. An interrupted part goes on with the next block. `--set cluster=ray` spreads blocks over a
-Ray cluster.
+`results/design/designs/`. An interrupted part goes on with the next block.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -50,7 +49,6 @@ class DesignConfig(tables.Table, frozen=True):
     repeats: tables.Count = 40
     """Draws for the chosen few, in each of two airs."""
     processes: tables.Count = 2
-    cluster: Literal["ray"] | None = None
 
 
 def compute(part: str, asked: DesignConfig, work: Work) -> Findings:
@@ -92,7 +90,7 @@ def fly(asked: DesignConfig, work: Work, jobs: dict[int, Job]) -> list[Row]:
     flown = plain.to_builtins([{**job._asdict(), "designs": job.designs.tolist()} for job in jobs.values()])
     base = rust.config_digest(rust.load_config(campaign.BASE))
     asks, files = {"flown": flown, "base": base}, [robots.MK3, campaign.PERTURBATION]
-    done = campaign.fly(jobs, work.narrowed(Identity.of(asks, files)), asked.processes, asked.cluster)
+    done = campaign.fly(jobs, work.narrowed(Identity.of(asks, files)), asked.processes)
     return [row for block in done.values() for row in block]
 
 

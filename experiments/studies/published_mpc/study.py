@@ -36,27 +36,16 @@ class Case(NamedTuple):
 
     speed: float = 0.0
     """Of the wind [m/s]."""
-    turbulence: float = 0.0
-    """Standard deviation along the ground, half of that along the vertical [m/s]."""
-    force: float = 0.0
-    """Of a push on the chest [N]."""
     moment: float = 0.0
-    """[N m]"""
-
-    @property
-    def is_push(self) -> bool:
-        """Whether it is a push, while hovering in still air."""
-        return self.force > 0.0 or self.moment > 0.0
+    """Of a push on the chest, while hovering [N m]."""
 
 
 CASES = {
     "still air": Case(),
-    "push of 50 N": Case(force=50.0),
     "push of 50 N m": Case(moment=50.0),
     "push of 300 N m": Case(moment=300.0),
     "5 m/s": Case(speed=5.0),
     "10 m/s": Case(speed=10.0),
-    "10 m/s, turbulence": Case(speed=10.0, turbulence=2.0),
     "15 m/s": Case(speed=15.0),
     "20 m/s": Case(speed=20.0),
 }
@@ -127,16 +116,11 @@ main = STUDY.main
 def configure(controller: str, case: Case, repeat: int, duration: float) -> rust.Config:
     """Return the perturbed configuration of a flight."""
     direction = 45.0 * (repeat % 8)
-    settings: dict[str, Any] = {"simulator.duration": PUSHED if case.is_push else duration}
+    settings: dict[str, Any] = {"simulator.duration": PUSHED if case.moment else duration}
     settings["wind.velocity"] = wind_from(case.speed, direction)
-    if case.is_push:
-        push = {"force": wind_from(case.force, direction), "moment": wind_from(case.moment, direction)}
-        settings["disturbances.pushes"] = [{"body": "chest", "start": 3.0, "duration": 0.2, **push}]
-    if case.turbulence:
-        std = [case.turbulence, case.turbulence, 0.5 * case.turbulence]
-        ramp = {"ramp_start": 5.0, "ramp_end": 10.0}
-        settings["wind"] = {"profile": "turbulent", "velocity": settings.pop("wind.velocity"), "std": std, **ramp}
-        settings["wind"]["time_scale"] = 2.0
+    if case.moment:
+        push = {"body": "chest", "start": 3.0, "duration": 0.2, "moment": wind_from(case.moment, direction)}
+        settings["disturbances.pushes"] = [push]
     if controller == PUBLISHED:
         settings["controller.time_step"] = plan.PERIOD  # with engines of its own
         settings |= WITHOUT | STIFF  # of the configuration's controller only set-point and these gains count

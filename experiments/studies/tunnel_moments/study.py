@@ -184,7 +184,7 @@ def _resample(rng: np.random.Generator, cluster: Any, rows: Any) -> Floats:
 
 
 def summary(result: xr.Dataset) -> dict[str, float]:
-    """Return rms errors with their intervals, the effect of the published arms, and hovering in lateral wind."""
+    """Return rms errors with their intervals, and the effect of the published arms."""
     found: dict[str, float] = {}
     alone = result["robot_only"] == 1
     for group in GROUPS:
@@ -203,15 +203,4 @@ def summary(result: xr.Dataset) -> dict[str, float]:
                     added = result["added"].sel(model=name, side=side, group=group).values
                     key = f"{group}, centre {side}, {name}: published arms add"
                     found |= {f"{key}, {text}": float(value) for text, value in zip(ADDED, added, strict=True)}
-    for campaign in np.unique(result["campaign"].values):
-        rows = (result["posture"] == "hovering") & (result["campaign"] == campaign) & (abs(result["yaw"] - 90.0) < 1.0)
-        chosen = result.isel(point=rows.values & ~result["marks"].str.contains("doubtful").values)
-        for axis in ("x", "z"):
-            for side in SIDES:
-                value = float(chosen["measured"].sel(side=side, axis=axis).mean()) * NEWTON_METRES
-                found[f"hovering at 90 deg, {campaign}, centre {side}, {axis}: measured with support [N m]"] = value
-            for name in result["model"].values[1:]:
-                for arms in ARMS:
-                    value = float(chosen["predicted"].sel(model=name, arms=arms, axis=axis).mean()) * NEWTON_METRES
-                    found[f"hovering at 90 deg, {campaign}, {axis}, {name}, {arms} [N m]"] = value
     return found
