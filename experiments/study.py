@@ -74,8 +74,6 @@ class Study(Generic[C]):
     """Package that does the computation."""
     options: Sequence[str] = ()
     """Additional words of its command line."""
-    experiments: bool = False
-    """Whether it is named after experiments: it then has no configuration files, but a key `experiment`."""
     reads: Callable[[str, C], Sequence[Path]] = lambda *_: ()
     """Function from name and configuration to the files that the study reads, besides those named in the latter."""
     resumes: bool = False
@@ -87,19 +85,14 @@ class Study(Generic[C]):
         return kinds.find(self.kind).command
 
     @property
-    def config_kind(self) -> str:
-        """Return the kind of configurations that name it."""
-        return "experiments" if self.experiments else self.kind
-
-    @property
     def example(self) -> str:
         """Return a key of its configuration with a value."""
-        return example_of("" if self.experiments else self.kind, self.config)
+        return example_of(self.kind, self.config)
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command line; return its exit status."""
         parser = Parser(self.command, self.about)
-        add_names(parser, self.config_kind, nargs="*", default=self.names)
+        add_names(parser, self.kind, nargs="*", default=self.names)
         add_set(parser, self.example)
         add_name(parser)
         add_overwrite(parser)
@@ -115,13 +108,10 @@ class Study(Generic[C]):
 
     def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
         """Return name and configuration of a study given by name or path."""
+        if places.names(self.kind):
+            path = find(self.kind, name)
+            return result_name(self.kind, path), tables.load(path, self.config, changes)
         table: dict[str, Any] = {}
-        if places.names(self.config_kind):
-            path = find(self.config_kind, name)
-            name = result_name(self.config_kind, path)
-            if not self.experiments:
-                return name, tables.load(path, self.config, changes)
-            table["experiment"] = path
         for key, value in (changes or {}).items():
             set_key(table, key, value)
         return name, tables.convert(table, self.config, self.command)
@@ -143,7 +133,7 @@ class Study(Generic[C]):
         options = overrides.options(changes or {}, named)
         command = ["jax-aero", *self.command.split(), name, *self.options, *options]
         name, config = self.read(name, changes)
-        folder = places.RESULTS / self.kind / folder_name(self.config_kind, places.name_of(name), changes or {}, named)
+        folder = places.RESULTS / self.kind / folder_name(self.kind, places.name_of(name), changes or {}, named)
         with lock_work(folder):
             read = [*tables.files(config), *self.reads(name, config)]
             record.check_replaceable(folder, lambda kept: _is_of(config, read, kept), overwrite=overwrite)
