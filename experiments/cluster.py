@@ -28,10 +28,11 @@ QUEUED_PER_CPU = 2
 """Submitted tasks per processor, which limits the number of answers in memory."""
 
 
-def add_options(parser: argparse.ArgumentParser, jobs: str, workers: str) -> None:
-    """Add `--workers`, `--cluster` and `--address`; `jobs` names the jobs, `workers` the unit of `--workers`."""
-    parser.add_argument("--workers", type=count, metavar="N", help=f"{workers} (default: one per core)")
-    parser.add_argument("--cluster", choices=["ray"], help=f"spread {jobs} over a cluster")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--workers`, `--cluster` and `--address`."""
+    about = "threads, or processes of a local cluster (default: one per core)"
+    parser.add_argument("--workers", type=count, metavar="N", help=about)
+    parser.add_argument("--cluster", choices=["ray"], help="spread chunks over a cluster")
     parser.add_argument("--address", metavar="ADDRESS", help="of the cluster (default: RAY_ADDRESS, or a local one)")
 
 
@@ -54,16 +55,10 @@ class Ray:
         task: Callable[[Shared, Job], Answer],
         shared: Shared,
         jobs: Mapping[Key, Job],
-        cpus: int = 1,
     ) -> Iterator[tuple[Key, Answer]]:
         """Yield the answers `task(shared, job)` with the keys of their jobs, in order of completion.
 
-        Parameters
-        ----------
-        task
-            A function in a module that the nodes can import.
-        cpus
-            Processors per task.
+        The task is a function in a module that the nodes can import, and takes one processor.
         """
         try:
             import ray
@@ -76,7 +71,7 @@ class Ray:
         try:
             # Shared data are transferred once.
             common = ray.put(pickle.dumps((task, shared, VERSIONS)))
-            yield from _spread(ray, common, jobs, cpus)
+            yield from _spread(ray, common, jobs)
         finally:
             if started:
                 ray.shutdown()
@@ -103,12 +98,9 @@ def _connect(ray: Any, address: str | None, workers: int | None) -> None:
         ray.init(**local)
 
 
-def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any], cpus: int) -> Iterator[tuple[Key, Any]]:
-    task = ray.remote(num_cpus=cpus, max_retries=2)(_run_remotely)
-    available = int(ray.cluster_resources().get("CPU", 1))
-    if cpus > available:
-        raise Refused(f"a task takes {cpus} processors, and the cluster has {available}")
-    limit = QUEUED_PER_CPU * max(1, available // cpus)
+def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any]) -> Iterator[tuple[Key, Any]]:
+    task = ray.remote(num_cpus=1, max_retries=2)(_run_remotely)
+    limit = QUEUED_PER_CPU * max(1, int(ray.cluster_resources().get("CPU", 1)))
     waiting = list(jobs)
     running: dict[Any, Key] = {}
     while waiting or running:

@@ -4,7 +4,6 @@ A design (configs/cfd/NAME.toml) names postures, winds and settings. A posture i
 Every case is kept as soon as it is computed, so the same command resumes an interrupted run. Finally the result is
 written: `dataset.nc` with the accepted cases, in the format of `import-cfd`, `cases.json` with all, and `manifest.json`
 with the refused ones and the reasons. Needs OpenFOAM: apt-get install openfoam.
-`--cluster ray` computes several postures at a time; the cases of a posture are kept when all its winds are computed.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -26,7 +25,6 @@ from experiments.cfd.design import KIND, Case, Design
 from experiments.cfd.geometry import Surface
 from experiments.cfd.settings import Settings
 from experiments.cfd.simulate import Result, simulate
-from experiments.cluster import Ray, add_options
 from experiments.data.cfd import checks
 from experiments.data.ironcub import JOINTS
 from experiments.identity import PYTHON, Identity
@@ -48,7 +46,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     study.add_set(parser, study.example_of(KIND))
     study.add_name(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/cfd)")
-    add_options(parser, "postures", "processes of a local cluster")
     parser.add_argument("--finish", action="store_true", help="compute nothing; collect the existing cases")
     given = parser.parse_args(arguments)
 
@@ -58,10 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             design = Design.read(name, overrides.parse(given.set), given.named)
             folder = folder_of(design, given.out)
             if not given.finish:
-                cluster = Ray.from_options(given)
-                if cluster is None:
-                    foam.environment()
-                compute(design, folder, cluster=cluster)
+                foam.environment()
+                compute(design, folder)
             print(collect(design, folder))
 
     return exit_status(work, interrupted="the same command goes on with the next case")
@@ -82,45 +77,22 @@ def dataset_of(name: str) -> Path:
     return path
 
 
-def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluster: Ray | None = None) -> None:
-    """Compute the missing cases of a design, on this machine or on a cluster, where each posture is a task."""
+def compute(design: Design, folder: Path, simulator: Simulate = simulate) -> None:
+    """Compute the missing cases of a design."""
     settings, surfaces = design.spec.settings, design.surfaces
     with lock_work(folder), tqdm(desc=design.name, unit="case", file=terminal(), disable=None) as bar:
         record.check_replaceable(folder, lambda kept: not _identity(design).difference(kept), overwrite=False)
         work, known = Work.on(folder, _identity(design)), read_cases(design, folder)
         left = {name: [case for case in cases if case not in known] for name, cases in design.cases.items()}
-        missing = {name: cases for name, cases in left.items() if cases}
         bar.reset(total=sum(1 for _ in design))
         bar.update(len(known))
-        jobs = {name: Job(surfaces[name], [case.wind_b for case in cases]) for name, cases in missing.items()}
-        shared = simulator, settings
-        solved: Iterable[tuple[str, Iterable[Result]]] = (
-            (name, _solve_posture(*shared, job)) for name, job in jobs.items()
-        )
-        if cluster:
-            solved = cluster.spread(_solve_remotely, shared, jobs, settings.solver.ranks)
-        for name, results in solved:
-            for case, result in zip(missing[name], results, strict=True):
-                work.write_json(case.name, plain.to_builtins(result))
-                bar.update()
-
-
-class Job(NamedTuple):
-    """A posture in several winds."""
-
-    surfaces: Mapping[str, Surface]
-    winds: list[Floats]
-    """Unit vectors of the air's motion, base axes."""
-
-
-def _solve_posture(simulator: Simulate, settings: Settings, job: Job) -> Iterator[Result]:
-    """Yield the results of a posture, one at a time."""
-    with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
-        yield from simulator(*job, settings, Path(scratch))
-
-
-def _solve_remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]:
-    return list(_solve_posture(*shared, job))
+        for name, cases in left.items():
+            winds = [case.wind_b for case in cases]
+            with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
+                solved = simulator(surfaces[name], winds, settings, Path(scratch)) if winds else ()
+                for case, result in zip(cases, solved, strict=True):
+                    work.write_json(case.name, plain.to_builtins(result))
+                    bar.update()
 
 
 def _identity(design: Design) -> Identity:

@@ -69,5 +69,5 @@ def _parser() -> Parser:
     parser.add_argument(
         "--paired", metavar="AXIS", help="print the differences of an axis' levels to the first one, on the same draws"
     )
-    cluster.add_options(parser, "chunks", "threads, or processes of a local cluster")
+    cluster.add_options(parser)
     return parser

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import os
-import pickle
 import shutil
 import sys
 from pathlib import Path
@@ -505,35 +504,12 @@ def test_a_verification_extrapolates_three_meshes_and_varies_the_rest(monkeypatc
     agree("difference", off, 1.25 * (found[f"cells of {sizes[0]:.2f} mm"] - finest) * np.pi * 0.0432**2, 1e-9)
 
 
-class Pickling:
-    """A cluster whose node is this process: what a task is given and returns travels as bytes."""
-
-    def __init__(self):
-        self.asked = []
-
-    def spread(self, task, shared, jobs, cpus):
-        self.asked.append((list(jobs), cpus))
-        for name, job in reversed(jobs.items()):
-            answer = task(*pickle.loads(pickle.dumps((shared, job))))
-            yield name, pickle.loads(pickle.dumps(answer))
-
-
 def test_the_cylinder_is_five_diameters_long(measured):
     subject = verify.subject_of("cylinder")
     diameter, _, length = np.ptp(subject.surfaces["cylinder"].triangles.reshape(-1, 3), axis=0)
     polygon = "a polygon stands for the circle"
     measured("length over five diameters", abs(length / (5.0 * diameter) - 1.0), 0.02, because=polygon)
     measured("area over the frontal one", abs(subject.area / (diameter * length) - 1.0), 0.02, because=polygon)
-
-
-def test_a_cluster_computes_the_same_cases_a_posture_at_a_time(small, tmp_path):
-    here, there, cluster = tmp_path / "here", tmp_path / "there", Pickling()
-    command.compute(small, here, Fake())
-    command.compute(small, there, Fake(), cluster)
-    command.compute(small, there, Fake(), cluster)
-    assert command.read_cases(small, there) == command.read_cases(small, here)
-    assert len(command.read_cases(small, here)) == 6
-    assert cluster.asked == [(["hovering", "Config5"], 1), ([], 1)]
 
 
 def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(collected):
