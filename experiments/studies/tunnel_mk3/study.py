@@ -1,10 +1,8 @@
 """Compare the force areas of iRonCub-Mk3 with the wind tunnel of December 2023.
 
 Every coefficient set of the robot is evaluated at the measured points, and a network if one is named. Points of equal
-posture and wind are averaged; intervals are computed by drawing postures with replacement. Signs of the mount are
-tested: both signs of the yaw, and the robot facing the wind or away from it. In side winds the force that a model
-lacks is located by its moment. The result goes to `results/tunnel_mk3/december/`. Needs
-`results/datasets/tunnel_mk3.nc` of `import-tunnel`.
+posture and wind are averaged; intervals are computed by drawing postures with replacement. Both signs of the yaw are
+tested. The result goes to `results/tunnel_mk3/december/`. Needs `results/datasets/tunnel_mk3.nc` of `import-tunnel`.
 """
 
 from __future__ import annotations
@@ -34,8 +32,6 @@ SPEED = 17.0
 """Speed at which a model is evaluated; areas do not depend on it [m/s]."""
 SIDE_WIND = 60.0
 """Least yaw of a side wind [deg]."""
-TURNED = np.array([-1.0, -1.0, 1.0])
-"""Signs of a vector's components, base axes, when the robot is turned about its vertical axis by 180°."""
 
 
 class TunnelConfig(tables.Table, frozen=True):
@@ -97,16 +93,10 @@ def compute(_: str, config: TunnelConfig) -> Findings:
         for group, rows in groups.items():
             found = errors(points.take(rows), force[rows], moment[rows])
             summary |= {f"{name}, {group}: {key}": value for key, value in found.items()}
-        summary |= {f"{name}, {key}": value for key, value in facing(robot, model, points).items()}
-        rows = groups["side wind"]
-        summary |= {
-            f"{name}, side wind: {key}": value for key, value in missing_force(points, force, moment, rows).items()
-        }
     for group, rows in groups.items():
         found = errors(points.take(rows), np.zeros((rows.sum(), 3)), np.zeros((rows.sum(), 3)))
         key = "moment, rms [N m at 10 m/s]"
         summary |= {f"no moment, {group}: {key}": found[key]}
-    summary |= symmetry(points)
     return Findings("Force areas of iRonCub-Mk3 beside the wind tunnel", to_dataset(points, modelled), summary)
 
 
@@ -167,11 +157,10 @@ def models_of(robot: RobotModel, network: Path | None) -> dict[str, Model]:
     return found
 
 
-def totals(robot: RobotModel, model: Model, points: Points, turned: bool = False) -> tuple[Floats, Floats]:
+def totals(robot: RobotModel, model: Model, points: Points) -> tuple[Floats, Floats]:
     """Return force areas (N, 3) [m²] and moment volumes about the centre of mass (N, 3) [m³] of a model."""
-    areas = model(points.joints, points.wind * TURNED if turned else points.wind)
-    force, moment = total_wrench(robot, joint_position(robot, points.joints), areas)
-    return (force * TURNED, moment * TURNED) if turned else (force, moment)
+    force, moment = total_wrench(robot, joint_position(robot, points.joints), model(points.joints, points.wind))
+    return force, moment
 
 
 def errors(points: Points, force: Floats, moment: Floats) -> dict[str, float]:
@@ -203,53 +192,6 @@ def signs_of_yaw(points: Points) -> dict[str, float]:
         found[f"yaw {name}: lateral force with the wind, share"] = float(np.mean((points.force * wind)[rows, 1] > 0.0))
         drag = np.sum(points.force * wind, axis=1)[groups_of(points)["side wind"]]
         found[f"yaw {name}: mean drag in side wind [m2]"] = float(drag.mean())
-    return found
-
-
-def facing(robot: RobotModel, model: Model, points: Points) -> dict[str, float]:
-    """Return the errors of lift and pitching moment in flight postures if the robot faces the wind, and if not."""
-    rows = groups_of(points)["flight postures"]
-    own = points.take(rows)
-    found: dict[str, float] = {}
-    for name, turned in (("facing the wind", False), ("facing away", True)):
-        force, moment = totals(robot, model, own, turned)
-        off = force - own.force
-        off -= np.sum(off * own.wind, axis=1, keepdims=True) * own.wind
-        found[f"{name}: lift, rms [m2]"] = vector_rms(off[:, ::2])
-        found[f"{name}: pitching moment, rms [N m at 10 m/s]"] = NEWTON_METRES * vector_rms(
-            (moment - own.moment)[:, 1:2]
-        )
-    return found
-
-
-def missing_force(points: Points, force: Floats, moment: Floats, rows: Any) -> dict[str, float]:
-    """Return the force that a model lacks and its place from the centre of mass, by `ΔM = r × ΔF`."""
-    own = points.take(rows)
-    lacks, turned = own.force - force[rows], own.moment - moment[rows]
-    found: dict[str, float] = {"force that is lacking, along the wind [m2]": float(np.sum(lacks * own.wind, 1).mean())}
-    each = [
-        np.sum(lacks[own.posture == name] * own.wind[own.posture == name], axis=1).mean()
-        for name in np.unique(own.posture)
-    ]
-    found["the same, standard deviation over postures [m2]"] = float(np.std(each, ddof=1))
-    place, deviation = tunnel.centre_of_gravity(lacks, turned)
-    for axis, value, unsure in zip("xyz", place, deviation, strict=True):
-        found[f"its place from the centre of mass, {axis} [m]"] = float(value)
-        found[f"its place from the centre of mass, {axis}, standard error [m]"] = float(unsure)
-    return found
-
-
-def symmetry(points: Points) -> dict[str, float]:
-    """Return the parts of force and moment that change with the sign of the yaw and that do not, for homePos."""
-    own = points.take(points.posture == "homePos")
-    found: dict[str, float] = {}
-    for angle in (30.0, 60.0, 90.0):
-        left, right = (own.take(np.abs(own.yaw - sign * angle) < 1.0) for sign in (1.0, -1.0))
-        for name, key, units in (("force", "force", "[m2]"), ("moment", "moment", "[m3]")):
-            here, there = (getattr(side, key).mean(axis=0) for side in (left, right))
-            for axis, a, b in zip("xyz", here, there, strict=True):
-                found[f"homePos at {angle:.0f} deg, {name} {axis}: even part {units}"] = float(a + b) / 2.0
-                found[f"homePos at {angle:.0f} deg, {name} {axis}: odd part {units}"] = float(a - b) / 2.0
     return found
 
 
