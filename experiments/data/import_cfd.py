@@ -88,14 +88,9 @@ def known_postures(sections: Sequence[str] | None = None, path: Path = POSTURES)
 
 def from_clone(clone: Path, commit: str) -> str:
     """Return the table from the history of a clone, without checking anything out."""
-    return git_show(clone, commit, TABLE_PATH, "element_cfd-simulation")
-
-
-def git_show(clone: Path, commit: str, path: str, repository: str) -> str:
-    """Return a text of a commit of a clone; `repository` is what the clone should be of."""
     try:
         answer = subprocess.run(
-            ["git", "-C", str(clone), "show", f"{commit}:{path}"], capture_output=True, check=True, timeout=60
+            ["git", "-C", str(clone), "show", f"{commit}:{TABLE_PATH}"], capture_output=True, check=True, timeout=60
         )
     except FileNotFoundError as reason:
         raise Refused("git is not installed; give the table as a file") from reason
@@ -103,8 +98,8 @@ def git_show(clone: Path, commit: str, path: str, repository: str) -> str:
         said = getattr(reason, "stderr", b"") or b""
         words = said.decode(errors="replace").strip().splitlines()
         raise Refused(
-            f"{clone} has no {path} at commit {commit}: {words[-1] if words else reason}; expected a full clone "
-            f"of {repository} (a shallow one lacks old commits)"
+            f"{clone} has no {TABLE_PATH} at commit {commit}: {words[-1] if words else reason}; expected a full clone "
+            "of element_cfd-simulation (a shallow one lacks old commits)"
         ) from reason
     return answer.stdout.decode("utf-8")
 

@@ -68,7 +68,7 @@ def test_the_help_of_a_study_has_an_example_that_it_takes(name, capsys):
     with pytest.raises(SystemExit):
         cli.main([*found.command.split(), "--help"])
     assert found.example in capsys.readouterr().out.replace("\n" + 24 * " ", " ")
-    first = (places.names(found.config_kind) or found.names)[0]
+    first = (places.names(found.kind) or found.names)[0]
     found.read(first, parse_assignments([found.example]))
 
 
