@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from experiments import Refused, study
 from experiments.robot import masses, shapes, skeleton
@@ -45,24 +45,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
 
     def work() -> int:
-        jets, posed = [jet.frame for jet in given.jet], [joint for joint, _ in given.posture]
-        for option, names in (("jet", jets), ("foot", given.foot), ("posture", posed), ("hold", given.hold)):
+        jets, posed = [jet.frame for jet in given.jets], [joint for joint, _ in given.posture_deg]
+        for option, names in (("jet", jets), ("foot", given.feet), ("posture", posed), ("hold", given.held)):
             if repeated := [name for name in names if names.count(name) > 1]:
                 raise Refused(f"--{option} names `{repeated[0]}` more than once; expected each once")
-        result = import_robot(
-            given.urdf,
-            given.out,
-            name=given.name,
-            jets=given.jet,
-            feet=given.foot,
-            held=given.hold,
-            posture_deg=dict(given.posture),
-            forward=given.forward,
-            controller=given.controller,
-            fly_mission=given.mission,
-            skip_meshes=given.skip_meshes,
-            overwrite=given.overwrite,
-        )
+        result = import_robot(**vars(given) | {"posture_deg": dict(given.posture_deg)})
         from experiments.robot.flight import report
 
         print(report(result))
@@ -77,16 +64,17 @@ def _parser() -> Parser:
     add = parser.add_argument
     add("urdf", type=Path)
     add("--name", help="name of the robot and of its flights (default: that of the URDF)")
-    add("--out", type=Path, help="folder for the files (default: results/robot/NAME)")
-    add("--jet", action="append", required=True, type=thruster, metavar=THRUSTER, help="greatest thrust [N]")
-    add("--foot", action="append", default=[], metavar="FRAME", help="sole frame, z up")
-    add("--hold", action="append", default=[], metavar="JOINT", help="a joint that stays as near to zero as it can")
-    add("--posture", action="append", default=[], type=angle, metavar="JOINT=DEG", help="where the trim starts")
+    add("--out", dest="folder", metavar="DIR", type=Path, help="folder for the files (default: results/robot/NAME)")
+    lists: dict[str, Any] = {"action": "append", "default": []}
+    add("--jet", dest="jets", required=True, type=thruster, metavar=THRUSTER, help="greatest thrust [N]", **lists)
+    add("--foot", dest="feet", metavar="FRAME", help="sole frame, z up", **lists)
+    add("--hold", dest="held", metavar="JOINT", help="a joint that stays as near to zero as it can", **lists)
+    add("--posture", dest="posture_deg", type=angle, metavar="JOINT=DEG", help="where the trim starts", **lists)
     add("--forward", choices=["x", "y", "-x", "-y"], default="x", help="forward axis of the base")
     add("--controller", choices=CONTROLLERS, default=CONTROLLERS[0], help="of configs/control, scaled to the robot")
     add("--skip-meshes", action="store_true", help="leave out meshes that are missing or cannot be read")
     add("--overwrite", action="store_true", help="replace the folder of an earlier import")
-    add("--mission", action="store_true", help="fly the paper's mission in 10 m/s of lateral wind as well")
+    add("--mission", dest="fly_mission", action="store_true", help="fly the paper's mission in 10 m/s of side wind too")
     return parser
 
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from experiments import Refused, bench, bench_native
+from experiments import Refused, bench
 from jax_aero.base import files
 
 CALM = {f"{name} QP, calm, warm": time for name, time in (("momentum", 2e3), ("torque", 3e3))}
@@ -99,17 +99,17 @@ turn = len(file.read_text()) if file.exists() else 0
 print({TICK!r}.replace("12.0", ("14.0", "13.0", "12.5")[turn]), end="")
 """
     ours = [sys.executable, "-c", 'print("ours\\t5\\t0")']
-    programs = bench_native.Programs(ours, [sys.executable, "-c", ticks])
+    programs = bench.Programs(ours, [sys.executable, "-c", ticks])
     programs.others["theirs"] = [sys.executable, "-c", code]
-    found = bench_native.take_turns(programs, 3)
+    found = bench.take_turns(programs, 3)
     assert found == ({"ours": 5.0}, {"all of it": 2.0}, TICK.replace("12.0", "12.5"))
 
 
 def test_a_program_that_fails_is_refused_with_its_last_words():
     with pytest.raises(Refused, match="failed: so it ends"):
-        bench_native.run([sys.executable, "-c", 'raise SystemExit("so it ends")'])
+        bench.run([sys.executable, "-c", 'raise SystemExit("so it ends")'])
     with pytest.raises(Refused, match="`no-such-compiler` is not installed"):
-        bench_native.run(["no-such-compiler"])
+        bench.run(["no-such-compiler"])
 
 
 @pytest.mark.parametrize("words", [["bench", "--turns", "0"], ["bench_jax", "--batch", "0"]])
