@@ -382,7 +382,9 @@ def test_the_table_is_made_of_what_was_flown_and_goes_on(monkeypatch, tmp_path):
     work = Work.on(tmp_path / "mk3", Identity("0"))
     found = study.compute("mk3", asked, work)
     assert flown == [("published", 0.0), ("published", 5.0)]
-    assert "published | 5 m/s | 1 of 2 | 9 to 91 % | 2.0° (2.0) | 50.0 cm (50.0)" in found.report
+    cell = found.summary["published | 5 m/s"]
+    assert (cell["completed"], cell["flights"], cell["rotation_error_deg"], cell["com_error_m_max"]) == (1, 2, 2.0, 0.5)
+    assert (round(cell["low"], 2), round(cell["high"], 2)) == (0.09, 0.91)
     assert found.dataset["com_error"].shape == (2, 2)
     study.compute("mk3", asked, work)
     assert len(flown) == 2

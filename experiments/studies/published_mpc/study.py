@@ -91,7 +91,7 @@ def compute(_: str, asked: Compared, work: Work) -> Findings:
         flights = work.read_json(name)
         if flights is None:
             work.write_json(name, flights := fly_cell(controller, CASES[case], asked))
-            print(f"  {row(name, flights)}", flush=True)
+            print(f"  {name}", flush=True)
         flown[name] = flights
     rows = {name: figures(flights) for name, flights in flown.items()}
     most = max(map(len, flown.values()))
@@ -103,10 +103,9 @@ def compute(_: str, asked: Compared, work: Work) -> Findings:
         },
         {"cell": list(flown)},
     )
-    report = "\n".join([HEADER, *(row(*one) for one in flown.items())])
     inputs = {"cases": {name: case._asdict() for name, case in CASES.items()}}
     files = [PERTURBATION]
-    return Findings("Published MPC and ours", data, rows, flights=bases, inputs=inputs, files=files, report=report)
+    return Findings("Published MPC and ours", data, rows, flights=bases, inputs=inputs, files=files)
 
 
 STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), backend="rust", resumes=True)
@@ -150,9 +149,6 @@ def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, st
     ]
 
 
-HEADER = "controller | case | completed | 95 % | rotation error, median (greatest) | CoM error, median (greatest)"
-
-
 def figures(flights: list[Any]) -> dict[str, float]:
     """Return share and medians of the flights of a cell; errors of those that completed."""
     completed = [one for one in flights if one[0]]
@@ -162,18 +158,6 @@ def figures(flights: list[Any]) -> dict[str, float]:
         values = [one[at] for one in completed]
         found |= {name: float(np.median(values)), f"{name}_max": max(values)} if values else {}
     return found
-
-
-def row(name: str, flights: list[Any]) -> str:
-    """Return a row of the table."""
-    found = figures(flights)
-    text = (
-        f"{name} | {found['completed']} of {found['flights']} | {100 * found['low']:.0f} to {100 * found['high']:.0f} %"
-    )
-    if found["completed"]:
-        text += f" | {found['rotation_error_deg']:.1f}° ({found['rotation_error_deg_max']:.1f})"
-        text += f" | {100 * found['com_error_m']:.1f} cm ({100 * found['com_error_m_max']:.1f})"
-    return text
 
 
 def _padded(flown: Mapping[str, list[Any]], at: int, most: int) -> Any:
