@@ -61,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         digest = hashlib.sha256(text.encode()).hexdigest()
         variables = {name: (("row",), getattr(bench, name), {"units": UNITS.get(name, "s")}) for name in SIGNALS}
         write_netcdf(out, xr.Dataset(variables, attrs={"source": source.name, "sha256": digest}))
-        print(f"{out}: {len(bench.time)} rows, {', '.join(measured(bench))}; sha256 of the log {digest}")
+        measured = ", ".join(name for name in UNITS if np.isfinite(getattr(bench, name)).any())
+        print(f"{out}: {len(bench.time)} rows, {measured}; sha256 of the log {digest}")
 
     return exit_status(work)
 
@@ -89,11 +90,6 @@ def read_bench(text: str, name: str) -> Bench:
     is_clipped = np.nan_to_num(found.numbers.get("clipped", nothing)) != 0.0
     throttle, wanted, speed, thrust = readings
     return Bench(time, throttle, wanted, speed, np.where(is_clipped, np.nan, thrust))
-
-
-def measured(bench: Bench) -> list[str]:
-    """Return the names of the signals that a log has."""
-    return [name for name in UNITS if np.isfinite(getattr(bench, name)).any()]
 
 
 def load_bench(path: Path) -> Bench:
