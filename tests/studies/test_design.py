@@ -61,7 +61,7 @@ def test_the_trim_balances_the_robot(tmp_path, measured):
 def test_a_design_without_trim_is_not_flown():
     heavy = SAME.copy()
     heavy[list(robots.RANGES).index("chest_jet_back")] = 0.9
-    (row,) = campaign.fly_block(None, Job(heavy[None], (0,), campaign.FLIGHTS, 1))
+    (row,) = campaign.fly_block(Job(heavy[None], (0,), campaign.FLIGHTS, 1))
     assert row["missed"]
     assert np.isnan(np.array(row["figures"], dtype=float)).all()
 
@@ -69,7 +69,7 @@ def test_a_design_without_trim_is_not_flown():
 def test_blocks_are_not_flown_twice(tmp_path, monkeypatch):
     work = Work.on(tmp_path / "designs", Identity.of({}))
     work.write_json("0", [1])
-    assert campaign.fly({0: None}, work, 1, None) == {0: [1]}
+    assert campaign.fly({0: None}, work, 1) == {0: [1]}
 
 
 def test_scores_are_relative_to_the_first_and_infinite_for_the_lost():
