@@ -132,9 +132,7 @@ Air: TypeAlias = Literal["linear", "constant"]
 class ClearanceConfig(Struct, frozen=True, kw_only=True):
     apart_from: tuple[str, ...]
     exhaust: float
-    least: float
     links: tuple[str, ...]
-    weight: float
 
 
 class MpcWeights(Struct, frozen=True, kw_only=True):
@@ -155,15 +153,12 @@ class MpcWeights(Struct, frozen=True, kw_only=True):
 class MpcConfig(Struct, frozen=True, kw_only=True):
     air: Air = "linear"
     clearance: ClearanceConfig | None = None
-    decay: float
     descent: MpcWeights | None = None
-    joint_excess: float
     joint_groups: tuple[str, ...]
     joint_knots: tuple[int, ...]
     knots: tuple[float, ...]
-    nonlinear_descent: dict[str, Any] | None = None
+    nonlinear_descent: bool = False
     period: float
-    posture_gain: float
     thrust_excess: float
     weights: MpcWeights
 
@@ -173,30 +168,22 @@ class PolicyConfig(Struct, frozen=True, kw_only=True):
 
 
 class SetpointConfig(Struct, frozen=True, kw_only=True):
-    acceleration_smoothing: float
-    angular_velocity_smoothing: float
-    attitude_gain: float
     attitude_rate_deg: tuple[float, float]
     deceleration: float = 1.5
     descent_speed: float = 0.5
     nose_down_limits_deg: tuple[float, float]
-    position_smoothing: float
     speed: tuple[float, float]
-    turbo_boost: float
-    turbo_rate: float
 
 
 class TorqueConfig(Struct, frozen=True, kw_only=True):
     friction: dict[str, float] | None = None
     kd: float
     kp: float
-    regularisation: float
     rotor_inertia: float = 0.0
     steps: int = 1
     torque_max: float | None = None
     torque_rate_max: float | None = None
     weight_acceleration: float
-    weight_torque: float
 
 
 class MomentumWeights(Struct, frozen=True, kw_only=True):
@@ -204,7 +191,6 @@ class MomentumWeights(Struct, frozen=True, kw_only=True):
     joint_velocity: float
     momentum: float
     posture: float
-    regularisation: float
     symmetric_jets: tuple[tuple[str, str], ...]
     symmetry: float
     thrust_rate: dict[str, float]
@@ -360,11 +346,6 @@ class InitialConfig(Struct, frozen=True, kw_only=True):
 
 Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]
 
-
-class EkfConfig(Struct, frozen=True, kw_only=True):
-    Q: tuple[tuple[float, float], tuple[float, float]] = ((10.0, 1.0), (1.0, 10.0))
-    R: float = 1.0
-
 ThrustFeedback: TypeAlias = Literal["measured", "estimated", "speed"]
 
 
@@ -373,7 +354,6 @@ class IdealJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", t
 
 
 class ThrottledJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="throttled"):
-    ekf: EkfConfig = EkfConfig()
     engines: tuple[str, ...] | None = None
     feedback: ThrustFeedback = "measured"
     shaft: dict[str, Any] | None = None

@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from jax_aero.body.robot import ENGINE_KEYS, RobotModel
 from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, ThrottledJetsConfig
-from jax_aero.types import Array, leaf, pytree, static
+from jax_aero.types import Array, pytree, static
 
 MIN_INPUT_GAIN = 1e-9
 """Input gain below which the throttle loop holds the throttle, since the throttle has no effect [N/s² per %]."""
@@ -29,6 +29,9 @@ RATE_GAIN = 150.0
 
 INITIAL_COVARIANCE = ((1.0, 0.1), (0.1, 1.0))
 """Covariance of the initial estimate, as published."""
+
+Q, R = ((10.0, 1.0), (1.0, 10.0)), 1.0
+"""Intensities of the noise of process and measurement in the estimator, as published."""
 
 
 class Engines(NamedTuple):
@@ -130,15 +133,11 @@ class EngineState(NamedTuple):
 
 @pytree
 class SecondOrderJets:
-    """Identified engines with their throttle loop and the noise covariances of their estimator."""
+    """Identified engines with their throttle loop and their estimator."""
 
     engines: Engines
     thrust_min: Float[Array, " j"]
     """Least thrusts [N]."""
-    q: Float[Array, "2 2"]
-    """Process noise `Q` of the estimator."""
-    r: Float[Array, ""]
-    """Measurement noise `R` of the estimator."""
     feedback_is_estimated: bool = static()
     """Whether the flight controller receives the estimated instead of the true thrust."""
 
@@ -203,8 +202,6 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
             return SecondOrderJets(
                 engines=engines(robot, settings.engines or robot.jets.engines),
                 thrust_min=robot.jets.thrust_min,
-                q=leaf(settings.ekf.Q),
-                r=leaf(settings.ekf.R),
                 feedback_is_estimated=settings.feedback == "estimated",
             )
         case MeasuredJetsConfig():
@@ -315,7 +312,7 @@ def update_ekf(
     x̂ ← x̂ + dt ( Ṫ, T̈(x̂, u) ),   P ← Φ P Φᵀ + dt Q,   Φ = 1 + dt A,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)
     """
     e, column = model.engines, state.covariance[:, :, 0]
-    gain = column / (column[:, :1] + model.r / dt)
+    gain = column / (column[:, :1] + R / dt)
     estimate = state.estimate + gain * (measured - state.estimate[:, 0])[:, None]
     p = state.covariance - gain[:, :, None] * column[:, None, :]
 
@@ -327,4 +324,4 @@ def update_ekf(
     slopes = jnp.stack([jnp.stack([zeros, ones], axis=1), jnp.stack([by_thrust, by_rate], axis=1)], axis=1)
     transition = jnp.eye(2, dtype=p.dtype)[None] + dt * slopes
     flow = jnp.stack([rate, thrust_acceleration(e, thrust, rate, throttle)], axis=1)
-    return estimate + dt * flow, transition @ p @ jnp.swapaxes(transition, 1, 2) + dt * jnp.asarray(model.q)[None]
+    return estimate + dt * flow, transition @ p @ jnp.swapaxes(transition, 1, 2) + dt * jnp.asarray(Q)[None]

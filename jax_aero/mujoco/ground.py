@@ -30,6 +30,10 @@ CORNER_RADIUS = 0.005
 """Radius of the spheres at the corners of a sole [m]."""
 HOLD_STIFFNESS, HOLD_DAMPING = 4000.0, 60.0
 """Stiffness and damping of the joints while the robot is put down [N m/rad, N m s/rad]."""
+SETTLING = 1.0
+"""Time for which these joints hold the initial posture before the controller starts at time zero [s]."""
+CONTACT_TIME = 0.01
+"""Time in which a touching corner comes to rest [s]; longer is softer."""
 
 
 class GroundPlant:
@@ -61,7 +65,7 @@ class GroundPlant:
             for index, foot in enumerate(table.get("feet", []))
             for corner in range(len(foot["vertices"]))
         }
-        self._stand(simulator["initial"], simulator["ground"]["settling"])
+        self._stand(simulator["initial"])
         motors = simulator.get("motors", {})
         shares = [motors.get("load_friction", {}).get(joint, 0.0) for joint in self.robot.joint_names]
         self._load_friction = np.array(shares) if any(shares) else None
@@ -83,7 +87,7 @@ class GroundPlant:
         nu[3:6] = rotation @ nu[3:6]  # MuJoCo's angular part is in body axes
         return rust.State(data.qpos[:3].copy(), rotation, data.qpos[order.joints], nu)
 
-    def _stand(self, initial: Mapping[str, Any], settling: float) -> None:
+    def _stand(self, initial: Mapping[str, Any]) -> None:
         """Put the robot down with stiff joints; it is then at rest except for rounding."""
         qpos, model = self.data.qpos, self.model
         qpos[:3] = initial["base_position"]
@@ -93,7 +97,7 @@ class GroundPlant:
         model.qpos_spring[:] = qpos
         own_damping = model.dof_damping.copy()
         model.dof_damping[6:] = HOLD_DAMPING
-        for _ in range(round(settling / model.opt.timestep)):
+        for _ in range(round(SETTLING / model.opt.timestep)):
             mujoco.mj_step(model, self.data)
         held = self.data.qfrc_passive[self._order.dofs[6:]].copy()  # for the first measurement
         model.jnt_stiffness[:] = 0.0
@@ -176,7 +180,7 @@ def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], co
     option.tolerance = 1e-10
     contact = {
         "friction": [ground["friction"], 0.005, 0.0001],
-        "solref": [ground["contact_time"], 1.0],
+        "solref": [CONTACT_TIME, 1.0],
         "solimp": [0.95, 0.99, 0.001, 0.5, 2.0],
     }
     spec.worldbody.add_geom(

@@ -60,7 +60,6 @@ def test_setpoints(twin, rng, check_gradient):
 
     def fly(x):
         settings, com, rpy = x
-        settings = settings | {"turbo_boost": numbers["turbo_boost"]}  # a count of ticks, once rounded
         configured = structs.replace(config.controller.setpoint, **settings)
         params = setpoint.setpoint_params(configured, jnp.array([-1.0, 0.0, 0.0]), jnp.array(0.01))
         state = setpoint.start(params, com, rotation_from_rpy(rpy))

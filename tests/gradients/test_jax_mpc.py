@@ -59,7 +59,7 @@ def test_gradient_of_a_plan(check_gradient):
         return {"u": u, "values": ahead.free + ahead.by_inputs @ u}
 
     at = {name: getattr(mpc.weights, name) for name in WEIGHTS}
-    at |= {name: getattr(mpc, name) for name in ("decay", "thrust_excess", "joint_excess", "clearance")}
+    at |= {name: getattr(mpc, name) for name in ("decay", "thrust_excess", "clearance")}
     of_knot = thrust.size + len(mpc.structure.joints) + len(mpc.clearance.pairs)
     beyond = np.zeros((len(mpc.structure.durations), of_knot), np.int8)
     some_are = beyond.copy()

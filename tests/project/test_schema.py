@@ -38,14 +38,10 @@ def schema_named_by(path: Path):
 
 
 UNSET = {
-    "ChannelsConfig": {"descend_after", "wind_hold"},
-    "EkfConfig": {"Q", "R"},
     "InitialConfig": {"base_velocity"},
-    "JetsConfig": {"ekf"},
     "ModelError": {"inertia_scale", "thrust_axes"},
     "OwnController": {"file", "name"},
     "ScenarioConfig": {"own_controller"},
-    "ShaftConfig": {"density", "temperature"},
     "SimulatorConfig": {"dynamics"},
     "WindConfig": {"path", "samples"},
     "WindEstimateConfig": {"seed"},
@@ -55,9 +51,6 @@ UNSET = {
 * Perturbations of sweeps draw `base_velocity`, `inertia_scale`, `thrust_axes` and every `seed`.
 * A wind can be a recording (`path`, `samples`), and JAX's bodies those of MuJoCo (`dynamics`).
 * A controller of one's own is its author's (`own_controller`; --controller of `jax-aero fly`).
-* The air is that of the day (`density`, `temperature`).
-* How long a robot may be blind is up to those who fly it (`descend_after`, `wind_hold`).
-* Another engine's estimator has other noise (`ekf`; the study identify_engine finds it).
 """
 
 

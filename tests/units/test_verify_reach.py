@@ -85,4 +85,4 @@ def test_what_nothing_reaches_is_named():
     found = reach.unreached(scenario, samples, sections)
     assert not {"controller.torque_rate_max", "controller.torque_max", "plant.robot.joint_stops"} & {*found}
     assert not {"plant.robot.jets.thrust_max", "fall.rotation_error_deg", "fall.com_error"} & {*found}
-    assert {"controller.mission.down", "wind.ramp_end", "controller.setpoint.turbo_rate"} <= {*found}
+    assert {"controller.mission.down", "wind.ramp_end", "controller.setpoint.attitude_rate"} <= {*found}

@@ -40,6 +40,12 @@ from jax_aero.types import Array, Setpoint, leaf
 
 DEGREE = np.pi / 180.0
 """[rad]."""
+TURBO_BOOST, TURBO_RATE = 9.0, 2.0
+"""Relative increase of the forward speed by the turbo command, and its growth [1/s]."""
+POSITION_SMOOTHING, ACCELERATION_SMOOTHING, ANGULAR_VELOCITY_SMOOTHING = 1.5, 0.005, 0.05
+"""Smoothing times [s]."""
+ATTITUDE_GAIN = 1.0
+"""`K` of the attitude filter [1/s]."""
 
 
 class SetpointParams(NamedTuple):
@@ -51,11 +57,6 @@ class SetpointParams(NamedTuple):
     """Pitch and yaw rate [rad/s]."""
     nose_down_limits: Float[Array, "2"]
     """Limits of the nose-down angle [rad]."""
-    turbo_boost: Float[Array, ""]
-    turbo_rate: Float[Array, ""]
-    """Rate of the turbo boost [1/s]."""
-    attitude_gain: Float[Array, ""]
-    """`K` of the attitude filter [1/s]."""
     position_lags: Float[Array, "2"]
     """Constants of the position filter: `T B / A` [s] and `T² C / A` [s²]."""
     position_filter: FilterGains
@@ -96,19 +97,16 @@ def setpoint_params(
     config: SetpointConfig, forward_axis: Float[Array, "3"], time_step: Float[Array, ""]
 ) -> SetpointParams:
     """Return the parameters for ticks of `time_step` [s] and a robot's forward axis in base axes."""
-    smoothing = leaf(config.position_smoothing)
+    smoothing = leaf(POSITION_SMOOTHING)
     xp, (x, y, _) = namespace(forward_axis), forward_axis
     return SetpointParams(
         speed=leaf(config.speed),
         attitude_rate=leaf(config.attitude_rate_deg) * DEGREE,
         nose_down_limits=leaf(config.nose_down_limits_deg) * DEGREE,
-        turbo_boost=leaf(config.turbo_boost),
-        turbo_rate=leaf(config.turbo_rate),
-        attitude_gain=leaf(config.attitude_gain),
         position_lags=filter_lags(smoothing),
         position_filter=filter_gains(smoothing, time_step),
-        jerk_filter=filter_gains(leaf(config.acceleration_smoothing), time_step),
-        angular_velocity_filter=filter_gains(leaf(config.angular_velocity_smoothing), time_step),
+        jerk_filter=filter_gains(leaf(ACCELERATION_SMOOTHING), time_step),
+        angular_velocity_filter=filter_gains(leaf(ANGULAR_VELOCITY_SMOOTHING), time_step),
         base_from_heading=xp.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]]),
         time_step=time_step,
     )
@@ -194,7 +192,7 @@ def _smooth(params: SetpointParams, state: SetpointState, raw: RawSetpoint) -> t
     rotation = state.rotation
     raw_rotation = multiply(rotation_from_rpy(raw.rpy), params.base_from_heading.T)
     error = vee_of_skew_part(multiply(raw_rotation.T, rotation))
-    omega = -params.attitude_gain * error
+    omega = -ATTITUDE_GAIN * error
     angular = filter_update(params.angular_velocity_filter, state.angular_velocity, omega)
     turned = project_to_so3(rotation + multiply(rotation, skew(omega)) * params.time_step)
 
@@ -229,7 +227,7 @@ def _advance_raw(params: SetpointParams, raw: RawSetpoint, command: AutopilotCom
     it by moving as long as boost was left *before* the tick.
     """
     # Half a tick rounds up.
-    full = jnp.floor(params.turbo_boost / (params.turbo_rate * params.time_step) + 0.5).astype(jnp.int32)
+    full = jnp.floor(TURBO_BOOST / (TURBO_RATE * params.time_step) + 0.5).astype(jnp.int32)
     in_turbo = command.turbo | (raw.turbo_ticks > 0)
     ticks = jnp.where(command.turbo, jnp.minimum(raw.turbo_ticks + 1, full), jnp.maximum(raw.turbo_ticks - 1, 0))
     forward = jnp.where(in_turbo, 1.0, command.forward)
@@ -237,7 +235,7 @@ def _advance_raw(params: SetpointParams, raw: RawSetpoint, command: AutopilotCom
     nose_down = jnp.where(in_turbo, 1.0, command.nose_down)
     yaw_rate = jnp.where(in_turbo, 0.0, command.yaw)
 
-    boost = ticks.astype(params.turbo_rate.dtype) * (params.turbo_rate * params.time_step)
+    boost = ticks.astype(params.time_step.dtype) * (TURBO_RATE * params.time_step)
     roll, pitch, yaw = raw.rpy
     pitch = pitch + params.attitude_rate[0] * params.time_step * nose_down
     yaw = yaw + params.attitude_rate[1] * params.time_step * yaw_rate

@@ -29,6 +29,9 @@ from jax_aero.control.law.bounds import rate_bounds
 from jax_aero.control.law.momentum_qp import Diagonal, Rows, TaskInputs
 from jax_aero.types import Array, leaf
 
+REGULARISATION = 1e-4
+"""Weight of all unknowns, added to the diagonal."""
+
 
 class TaskParams(NamedTuple):
     """Weights and bounds of the momentum QP; `j` jets, `n` joints."""
@@ -45,8 +48,6 @@ class TaskParams(NamedTuple):
     """Weights of thrust rates."""
     symmetry: Float[Array, ""]
     """Weight of the difference within a pair of jets."""
-    regularisation: Float[Array, ""]
-    """Weight of all unknowns, added to the diagonal."""
     posture_gain: Float[Array, " n"]
     """`K_s` [1/s]."""
     thrust_rate_max: Float[Array, " j"]
@@ -72,7 +73,6 @@ def task_params(config: ControllerSection, robot: RobotModel) -> TaskParams:
         joint_velocity=leaf(weights.joint_velocity),
         thrust_rate=leaf([weights.thrust_rate[name] for name in jets]),
         symmetry=leaf(weights.symmetry),
-        regularisation=leaf(weights.regularisation),
         posture_gain=leaf(gains),
         thrust_rate_max=leaf([bounds.thrust_rate_max[name] for name in jets]),
         thrust_steepness=leaf(bounds.thrust_steepness),
@@ -161,7 +161,7 @@ def keep_small(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]:
     return (
         Diagonal(0, jets, params.thrust_rate),
         Diagonal(inputs.joints, joints, jnp.broadcast_to(params.joint_velocity, joints.shape)),
-        Diagonal(0, everything, jnp.broadcast_to(params.regularisation, everything.shape)),
+        Diagonal(0, everything, jnp.full(everything.shape, REGULARISATION)),
     )
 
 

@@ -20,6 +20,10 @@ from jaxtyping import Float
 from jax_aero.control.qp import BoxQp
 from jax_aero.types import Array, pytree
 
+WEIGHT_TORQUE = 0.001
+REGULARISATION = 1e-4
+"""`ε`, added to the diagonal."""
+
 
 @pytree
 class TorqueParams:
@@ -30,9 +34,6 @@ class TorqueParams:
     kp: Float[Array, ""]
     """`K_P` [1/s²]."""
     weight_acceleration: Float[Array, ""]
-    weight_torque: Float[Array, ""]
-    regularisation: Float[Array, ""]
-    """`ε`, added to the diagonal."""
 
 
 class TorqueQp(NamedTuple):
@@ -56,7 +57,7 @@ def torque_qp(
     velocity_error_integral: Float[Array, " n"],
 ) -> TorqueQp:
     """Build the QP; `torque_max` is in N m, `gain` is `G`, `free` is `s̈_free`."""
-    penalty = params.weight_torque + params.regularisation
+    penalty = WEIGHT_TORQUE + REGULARISATION
     weighted = params.weight_acceleration * gain
     h = weighted @ gain
     h = 0.5 * (h + h.T) + penalty * jnp.eye(h.shape[0], dtype=h.dtype)

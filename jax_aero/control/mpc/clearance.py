@@ -17,6 +17,10 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotate
 from jax_aero.types import Array, leaf, pytree, static
 
+LEAST_DISTANCE = 0.03
+"""Of the surfaces; an exhaust is its axis [m]."""
+CLEARANCE_WEIGHT = 5e3
+"""Weight of a distance below the least one [1/m²]."""
 TINY = 1e-12
 """Keeps quotients finite if a segment is a point or two segments are parallel [m², m⁴]."""
 
@@ -34,20 +38,16 @@ class Clearance:
     """From its start to its end, body axes [m]."""
     radius: Float[Array, " c"]
     """[m]; zero for an exhaust."""
-    least: Float[Array, ""]
-    """Least distance [m]."""
-    weight: Float[Array, ""]
-    """Weight of a lesser distance [1/m²]."""
 
 
 def clearance_params(settings: config.ClearanceConfig | None, robot: RobotModel) -> Clearance:
     """Return what a configuration keeps apart, without pairs that share a body."""
     if settings is None:
         none = leaf(np.zeros((0, 3)))
-        return Clearance((), (), none, none, leaf(np.zeros(0)), leaf(0.0), leaf(0.0))
+        return Clearance((), (), none, none, leaf(np.zeros(0)))
     of = rust.Robot(robot.source).clearance(msgspec.json.encode(settings).decode())
     bodies, *segments, pairs = of
-    return Clearance(tuple(bodies), tuple(pairs), *map(leaf, (*segments, settings.least, settings.weight)))
+    return Clearance(tuple(bodies), tuple(pairs), *map(leaf, segments))
 
 
 def distances(

@@ -16,6 +16,13 @@ from jax_aero.config import Air
 from jax_aero.control.mpc.clearance import Clearance, clearance_params
 from jax_aero.types import Array, leaf, pytree, static
 
+POSTURE_GAIN = 5.0
+"""Gain with which joints that the law does not move return to the posture [1/s]."""
+DECAY = 3.0
+"""`λ`: rate at which errors decay after the horizon [1/s]."""
+JOINT_EXCESS = 1e3
+"""Weight of a joint position beyond its limits [1/rad²]."""
+
 
 @pytree
 class MpcWeights:
@@ -76,14 +83,10 @@ class Mpc:
     structure: Structure = static()
     period: Float[Array, ""]
     """Time between two plans [s]."""
-    posture_gain: Float[Array, ""]
-    """Gain with which the other joints return to the posture [1/s]."""
     decay: Float[Array, ""]
     """`λ` [1/s]."""
     thrust_excess: Float[Array, ""]
     """Weight of a thrust beyond its range [1/N²]."""
-    joint_excess: Float[Array, ""]
-    """Weight of a joint position beyond its limits [1/rad²]."""
     clearance: Clearance
     weights: MpcWeights
     engines: Engines | None
@@ -106,10 +109,8 @@ def mpc_params(
     return Mpc(
         structure,
         period=leaf(settings.period),
-        posture_gain=leaf(settings.posture_gain),
-        decay=leaf(settings.decay),
+        decay=leaf(DECAY),
         thrust_excess=leaf(settings.thrust_excess),
-        joint_excess=leaf(settings.joint_excess),
         clearance=clearance_params(settings.clearance, robot),
         weights=_weights(settings.weights, robot, structure.joints),
         engines=engines(robot, robot.jets.engines) if jet_dynamics == "throttled" else None,

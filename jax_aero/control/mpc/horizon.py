@@ -29,8 +29,8 @@ from jax_aero.body.linalg import dot
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import skew
 from jax_aero.control.measurement import Measurement
-from jax_aero.control.mpc.clearance import distances
-from jax_aero.control.mpc.config import Mpc, MpcWeights, Structure
+from jax_aero.control.mpc.clearance import CLEARANCE_WEIGHT, LEAST_DISTANCE, distances
+from jax_aero.control.mpc.config import JOINT_EXCESS, Mpc, MpcWeights, Structure
 from jax_aero.control.mpc.model import Linearised
 from jax_aero.control.qp import BoxQp
 from jax_aero.control.terms import Model
@@ -195,10 +195,10 @@ def horizon(
     def at_knots(thrusts: Array, joints: Array, distances: Array) -> Array:
         return jnp.tile(jnp.concatenate([thrusts, joints, distances]), len(structure.durations))
 
-    least = robot.jets.thrust_min, robot.joint_limits[moved, 0], jnp.full_like(distance, mpc.clearance.least)
+    least = robot.jets.thrust_min, robot.joint_limits[moved, 0], jnp.full_like(distance, LEAST_DISTANCE)
     greatest = robot.jets.thrust_max, robot.joint_limits[moved, 1], jnp.full_like(distance, jnp.inf)
     values = now.thrust, position, distance
-    factors = mpc.thrust_excess, mpc.joint_excess, mpc.clearance.weight
+    factors: tuple[Array | float, ...] = mpc.thrust_excess, JOINT_EXCESS, CLEARANCE_WEIGHT
     excess = (jnp.full_like(value, weight) for value, weight in zip(values, factors, strict=True))
     return Horizon(
         h=0.5 * (cost + cost.T)[:-1, :-1],

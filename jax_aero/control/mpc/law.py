@@ -29,7 +29,7 @@ from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.plan import Plan
 from jax_aero.control.law.rates import Followed, MomentumLaw, Prepared, Rates
 from jax_aero.control.measurement import Measurement
-from jax_aero.control.mpc.config import Mpc
+from jax_aero.control.mpc.config import POSTURE_GAIN, Mpc
 from jax_aero.control.mpc.horizon import Horizon, Target, horizon
 from jax_aero.control.mpc.model import linearise
 from jax_aero.control.preview import setpoints_at, wind_change
@@ -215,7 +215,7 @@ class PredictiveLaw:
         knot = jnp.sum(age > ends - 0.5 * self.time_step)
         jets, moved = now.thrust.shape[0], np.array(structure.joints, dtype=int)
         thrusts, joints = jnp.split(plan.inputs, [jets * len(structure.durations)])
-        back = -self.mpc.posture_gain * (now.state.joint_position - memory.posture)
+        back = -POSTURE_GAIN * (now.state.joint_position - memory.posture)
         joint_velocity = back.at[moved].set(joints.reshape(-1, moved.size)[jnp.array(structure.blocks)[knot]])
         thrust_rate = thrusts.reshape(-1, jets)[knot]
         if self.mpc.engines is not None:

@@ -250,14 +250,4 @@ impl Table<'_> {
     ) -> Result<(), BuildError> {
         check(&format!("{}.{key}", self.0), value, accept, expected).map(|_| ())
     }
-
-    /// Refuses a gain \[1/s\] that is negative, or so high that a single tick of `time_step` \[s\] decides.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn gain(self, key: &str, gain: f64, time_step: f64) -> Result<(), BuildError> {
-        let greatest = 1.0 / time_step;
-        let expected = format!("a number from 0 to {greatest}, 1 / time step of {time_step} s");
-        self.check(key, gain, |gain| (0.0..=greatest * (1.0 + 1e-9)).contains(&gain), &expected)
-    }
 }

@@ -7,7 +7,7 @@ mod model;
 mod second_order;
 mod shaft;
 
-pub use ekf::{EkfConfig, ThrustEkf};
+pub use ekf::ThrustEkf;
 pub use engine::{EngineDynamics, EngineModel, RATE_GAIN, ThrustRateController};
 pub use model::{JetDynamics, JetModel};
 pub use second_order::{EngineCoefficients, SecondOrder};

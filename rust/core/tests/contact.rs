@@ -83,7 +83,7 @@ fn wrench_rows_are_the_geometry_they_stand_for() {
         let (px, py) = (-my / fz, mx / fz);
         let expected = fz >= limits.vertical_force_min
             && in_polygon
-            && wrench[5].abs() <= limits.torsional_friction * fz
+            && wrench[5].abs() <= fz / 75.0
             && (-0.07..=0.12).contains(&px) // published: 1 cm beyond the corners
             && (-0.045..=0.05).contains(&py);
         let found = rows.iter().all(|(row, bound)| row.dot(&wrench) <= *bound);
@@ -389,20 +389,6 @@ fn wrenches_of_feet_that_do_not_carry_are_fixed() {
     }
 }
 
-/// Rates inside the dead zone are not integrated.
-#[test]
-fn small_force_rates_are_dropped() {
-    let mut controller = controller(|config| {
-        config.contact.as_mut().unwrap().force_rate_dead_zone = 1e9;
-    });
-    let state = at_rest();
-    let feet = weight_on_both();
-    for _ in 0..3 {
-        controller.tick(&measurement(&state, Vector3::new(8.0, 3.0, 0.0), &feet));
-        assert_eq!(controller.state().contact().force_rate.amax(), 0.0);
-    }
-}
-
 /// A robot that stands still in still air feels no wind: what carries it is its feet.
 #[test]
 fn the_ground_is_no_wind() {
@@ -513,7 +499,7 @@ fn the_law_of_a_lost_engine_is_that_of_the_air() {
     let controllers = [1.0, 3.0].map(|factor| {
         able_to_take_off_with(|_, engines| {
             let engines = engines.as_mut().unwrap();
-            (engines.deviation_max, engines.confirmation) = (3.0, 0.0);
+            engines.deviation_max = 3.0;
             let descent = engines.descent.as_mut().unwrap();
             (descent.range_fraction_min, descent.momentum.c0) = (1e6, factor * descent.momentum.c0);
         })
@@ -538,7 +524,7 @@ fn the_law_of_a_lost_engine_is_that_of_the_air() {
         let apart = (&a.joint_velocity - &b.joint_velocity).amax();
         assert_eq!(
             a.modes.contains(Modes::DESCENDING),
-            tick >= 26,
+            tick >= 29,
             "tick {tick}: what the engine can do is allowed for"
         );
         assert_eq!(carries, tick < 59, "tick {tick}: to the end of the hold");
@@ -623,8 +609,7 @@ fn bad_numbers_are_refused_by_name() {
         contact(c).wrench.centre_of_pressure_margin = 0.05;
     });
     refused(&["load_transfer.unmodelled_force_max` is 0", "> 0"], |c| {
-        let transfer = experiment("take_off").controller.law.contact.unwrap().load_transfer.unwrap();
-        contact(c).load_transfer = Some(LoadTransfer { unmodelled_force_max: Some(0.0), ..transfer });
+        contact(c).load_transfer = Some(LoadTransfer { gain: 1.0, unmodelled_force_max: Some(0.0) });
     });
     let mut blind = experiment("take_off").controller.law;
     blind.disturbance_observer = None;

@@ -14,8 +14,7 @@ use flight_io::load_robot;
 use nalgebra::{Matrix6xX, Vector6};
 
 const STEP: f64 = 0.01;
-const CONFIG: EnginesConfig =
-    EnginesConfig { time_constant: 0.5, deviation_max: 15.0, confirmation: 0.05, descent: None };
+const CONFIG: EnginesConfig = EnginesConfig { deviation_max: 15.0, descent: None };
 
 /// The shipped descent, in which an engine with a range below 30 of 120 N is lost.
 fn descent() -> DescentConfig {
@@ -91,14 +90,14 @@ fn deviations_are_summed_and_forgotten() {
     }
 }
 
-/// 20 N at once are beyond 15 N, as late as the residual is, from the third tick on, are suspect for five ticks, and then
+/// 20 N at once are beyond 15 N, as late as the residual is, from the third tick on, are suspect for three ticks, and then
 /// bound the thrust on their side; 14 N never do.
 #[test]
 fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
     let everything = (0.0, f64::INFINITY);
     for (size, found, range) in [
-        (20.0, Some(8), (100.0, f64::INFINITY)),
-        (-20.0, Some(8), (0.0, 100.0)),
+        (20.0, Some(6), (100.0, f64::INFINITY)),
+        (-20.0, Some(6), (0.0, 100.0)),
         (14.0, None, everything),
         (-14.0, None, everything),
     ] {
@@ -139,7 +138,7 @@ fn an_engine_whose_bounds_are_close_together_is_lost() {
 #[test]
 fn a_deviation_is_as_late_as_the_momentum() {
     let (share, deviation) = (0.2_f64, 40.0);
-    let (forgotten, residual) = ((-STEP / CONFIG.time_constant).exp(), -(-STEP / 0.02_f64).exp_m1());
+    let (forgotten, residual) = ((-STEP / 0.5_f64).exp(), -(-STEP / 0.02_f64).exp_m1());
     let late = |tick: i32| {
         let mut sum = 0.0;
         for i in 0..tick {
@@ -153,7 +152,7 @@ fn a_deviation_is_as_late_as_the_momentum() {
         }
         deviation * sum
     };
-    let first = (1..100).find(|tick| late(*tick) > CONFIG.deviation_max).unwrap() + 5;
+    let first = (1..100).find(|tick| late(*tick) > CONFIG.deviation_max).unwrap() + 3;
     for (part, expected) in [(0.49, OUT_OF_REACH), (0.51, WRONG_SENSOR)] {
         let mut engine = Monitors::new(1, share);
         for tick in 1..=first {
@@ -266,7 +265,7 @@ fn nothing_is_judged_without_a_momentum() {
     let findings: Vec<_> = (0..8).map(|_| update(0.0, Some(0.0))).collect();
     let found = findings.iter().position(|finding| *finding == OUT_OF_REACH);
     assert!(findings[..found.unwrap()].iter().all(|finding| *finding == NOTHING));
-    assert!(found.unwrap() > 5, "{findings:?}");
+    assert!(found.unwrap() > 3, "{findings:?}");
 }
 
 /// A thrust that is not reached is found at the first measurement after its confirmation, of one in every five ticks.

@@ -9,8 +9,7 @@ use flight_core::control::limits::JointCondition::{self, Free, Healthy, Stuck, W
 use nalgebra::DVector;
 
 const STEP: f64 = 0.01;
-const CONFIG: JointsConfig =
-    JointsConfig { torque_min: 0.5, confirmation: 0.05, effectiveness_max: 0.7, displacement_min: 0.005 };
+const CONFIG: JointsConfig = JointsConfig { torque_min: 0.5, confirmation: 0.05, effectiveness_max: 0.7 };
 
 const STOPS: [(f64, f64); 3] = [(-1.0, 1.0), (-1.5, 1.5), (-2.0, 2.0)];
 

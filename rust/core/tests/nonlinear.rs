@@ -59,9 +59,8 @@ fn the_expansion_is_that_of_differences() {
         );
         let joints = mpc.joints(robot).unwrap();
         let clearance = Clearance::new(mpc.clearance.as_ref(), robot, joints.len()).unwrap();
-        let descent = mpc.nonlinear_descent.as_ref().unwrap();
         let jets = robot.jet_models(config.controller.law.jet_dynamics);
-        let mut knot = Knot::new(descent, &mpc, robot, jets, joints, clearance);
+        let mut knot = Knot::new(&mpc, robot, jets, joints, clearance);
         let posture = controller.state().posture();
         let world =
             World { robot, conventions: LinkConventions::default(), air: mpc.air, now, posture, speed: 0.5 };
@@ -115,16 +114,8 @@ fn the_expansion_is_that_of_differences() {
 #[test]
 fn what_cannot_be_planned_is_refused() {
     type Change = fn(&mut ControllerConfig);
-    let cases: [(Change, &str); 4] = [
-        (|law| law.mpc.as_mut().unwrap().descent = None, "controller.mpc.nonlinear_descent is given"),
-        (
-            |law| law.mpc.as_mut().unwrap().nonlinear_descent.as_mut().unwrap().knots.clear(),
-            "length of controller.mpc.nonlinear_descent.knots is 0",
-        ),
-        (
-            |law| law.mpc.as_mut().unwrap().nonlinear_descent.as_mut().unwrap().knots[3] = 0.001,
-            "controller.mpc.nonlinear_descent.knots is 0.001",
-        ),
+    let cases: [(Change, &str); 2] = [
+        (|law| law.mpc.as_mut().unwrap().descent = None, "controller.mpc.nonlinear_descent is true"),
         (|law| law.jet_dynamics = JetDynamics::Ideal, "controller.jet_dynamics is ideal"),
     ];
     for (change, words) in cases {

@@ -187,7 +187,7 @@ fn gains_beyond_the_rate_of_ticks_are_refused() {
         [(true, 100.0, false), (true, 101.0, true), (false, 100.0, false), (false, 101.0, true)]
     {
         let mut config = experiment("test2_observer");
-        (config.controller.law.channels.jump, config.controller.law.fault_detection.engines) = (None, None);
+        (config.controller.law.channels.jump, config.controller.law.fault_detection.engines) = (false, None);
         let observer = config.controller.law.disturbance_observer.as_mut().unwrap();
         *(if is_force { &mut observer.gain_force } else { &mut observer.gain_moment }) = gain;
         match config.controller(load_robot(&config.robot).unwrap()) {
@@ -257,7 +257,8 @@ fn controller(config: &ScenarioConfig) -> Running {
 fn unguarded(observer: Option<DisturbanceObserverConfig>) -> ScenarioConfig {
     let mut config = experiment("test2_observer");
     let law = &mut config.controller.law;
-    (law.channels.jump, law.fault_detection.engines, law.fault_detection.tracking_error) = (None, None, None);
+    (law.channels.jump, law.fault_detection.engines, law.fault_detection.tracking_error) =
+        (false, None, None);
     law.disturbance_observer = observer;
     config
 }

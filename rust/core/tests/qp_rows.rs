@@ -22,12 +22,7 @@ const JOINTS: usize = 23;
 const N: usize = FORCES + JOINTS;
 
 fn limits() -> WrenchLimits {
-    WrenchLimits {
-        friction: 0.1,
-        torsional_friction: 1.0 / 75.0,
-        vertical_force_min: 1.0,
-        centre_of_pressure_margin: 0.0,
-    }
+    WrenchLimits { friction: 0.1, vertical_force_min: 1.0, centre_of_pressure_margin: 0.0 }
 }
 
 fn foot() -> Foot {

@@ -233,21 +233,6 @@ fn raw_pitch_is_clamped() {
     assert_within!((raw.rpy.y.to_degrees() - 30.0).abs(), 1e-12);
 }
 
-/// Without a boost the boosted command flies forwards at the plain speed.
-#[test]
-fn a_boost_of_zero_still_moves() {
-    let mut config = config();
-    config.turbo_boost = 0.0;
-    let mission = Commands { forward_turbo: vec![(0.0, 2.0)], ..Commands::default() };
-    let generator =
-        SetpointGenerator::new(&config, Mission::Commands(mission), &BACKWARDS, TIME_STEP).unwrap();
-    let mut state = generator.start(Vector3::zeros(), &rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)));
-    for tick in 0..=tick_at(2.0) {
-        let _ = generator.update(&mut state, tick as f64 * TIME_STEP);
-    }
-    assert_within!((state.raw().position.x - 199.0 * 0.0075).abs(), 1e-12);
-}
-
 /// A robot whose forward axis is another flies the same way through space and lowers its own nose.
 #[test]
 fn any_forward_axis_flies_the_same_way() {

@@ -24,8 +24,6 @@ const NUMBERS: ShaftConfig = ShaftConfig {
     accelerations: [0.15, 0.4],
     exponent: 2.0,
     square_share: 0.25,
-    density: 1.225,
-    temperature: 288.15,
 };
 const DT: f64 = 0.01;
 
@@ -52,7 +50,7 @@ fn robot() -> RobotModel {
 fn found(scale: f64, stop: usize) -> Option<usize> {
     let robot = robot();
     let limits = Limits::new(experiment("test2_observer").controller.law.momentum, &robot);
-    let config = EnginesConfig { time_constant: 0.5, deviation_max: 12.0, confirmation: 0.03, descent: None };
+    let config = EnginesConfig { deviation_max: 12.0, descent: None };
     let monitor = Engines::new(&config, &limits, &robot, [1.0; 2], JetDynamics::Throttled);
     let known = JetModel { thrust_min: 0.0, engine: Some(EngineModel::Shaft(shaft())) };
     let model = EngineModel::Shaft(shaft_of(|k| k.ramps = k.ramps.map(|ramp| scale * ramp)));
@@ -97,7 +95,7 @@ fn a_measured_speed_gives_the_thrust_and_a_sensor_that_of_the_others() {
     let robot = robot();
     let sample = at(0.0, &random_state(&mut rng(3), &robot), &[f64::NAN, 90.0, 5.0, 110.0]);
     let jets = robot.jet_models(JetDynamics::Throttled);
-    let channels = Channels::new(&ChannelsConfig::default(), &robot, jets, DT, true);
+    let channels = Channels::new(ChannelsConfig::default(), &robot, jets, DT, true);
     let nothing = f64::NAN;
     let (first, second, third) =
         ([0.8, nothing, nothing, nothing], [0.7, nothing, nothing, nothing], [0.8; 4]);
@@ -145,17 +143,6 @@ fn the_shaft_follows_it_with_its_lags_as_fast_as_the_gas_allows() {
     assert_within!((rate(0.72) + 0.08 / 1.6).abs(), 1e-12);
     assert_within!((rate(1.0) - 0.15 * 0.64).abs(), 1e-12);
     assert_within!((rate(0.3) + 0.4 * 0.64).max(-0.05), 1e-12); // 0.5/1.6 = 0.31 > 0.256
-}
-
-#[test]
-fn hot_and_thin_air_take_thrust_and_torque() {
-    // θ = 1.1, σ = 0.8: δ = 0.88.
-    let hot = shaft_of(|k| (k.density, k.temperature) = (0.8 * 1.225, 1.1 * 288.15));
-    let root = 1.1_f64.sqrt();
-    assert_within!((hot.thrust(0.7 * root) - 0.88 * shaft().thrust(0.7)).abs(), 1e-11);
-    assert_within!((hot.thrust(hot.speed(90.0)) - 90.0).abs(), 1e-11);
-    let gain = (hot.step(0.7, 1.0, 100.0, DT).0 - 0.7) / DT;
-    assert_within!((gain - 0.88 * 0.15 * 0.49 / 1.1).abs(), 1e-12);
 }
 
 #[test]

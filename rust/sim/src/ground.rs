@@ -10,12 +10,6 @@ pub struct GroundConfig {
     /// Coulomb friction coefficient of soles on the ground.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub friction: f64,
-    /// Time constant of the contact: time in which a touching corner comes to rest \[s\]; longer is softer.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub contact_time: f64,
-    /// Time for which stiff joints hold the initial posture before the controller starts at time zero \[s\].
-    #[schemars(range(min = 0))]
-    pub settling: f64,
     /// State measurement of the standing robot by its legs; without it the true state is measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub leg_odometry: Option<LegOdometryConfig>,

@@ -16,7 +16,7 @@ use crate::disturbances::{JetFaults, JetFaultsConfig};
 use crate::turbine::TurbineConfig;
 use flight_core::error::{BuildError, check};
 use flight_core::jets::{
-    EkfConfig, EngineDynamics, EngineModel, SecondOrder, Shaft, ShaftConfig, ThrustEkf, ThrustRateController,
+    EngineDynamics, EngineModel, SecondOrder, Shaft, ShaftConfig, ThrustEkf, ThrustRateController,
 };
 use flight_core::robot::Jet;
 use schemars::JsonSchema;
@@ -52,8 +52,6 @@ impl JetsConfig {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThrottledConfig {
-    /// The thrust estimator.
-    pub ekf: EkfConfig,
     /// Thrust that the flight controller receives; the throttle loop always uses the estimate.
     pub feedback: ThrustFeedback,
     /// Engine of each jet, by name; by default those of the robot.
@@ -118,8 +116,7 @@ impl Jets {
     /// Jets at `initial_thrust` \[N\], in the order of `jets`, with thrust rate zero.
     ///
     /// # Errors
-    /// The thrust of a jet is missing or not finite; for second-order dynamics also an engine that does not
-    /// exist, or values that [`ThrustEkf::new`] refuses.
+    /// The thrust of a jet is missing or not finite; for second-order dynamics also an engine that does not exist.
     pub fn new(
         config: &JetsConfig,
         jets: &[Jet],
@@ -184,9 +181,7 @@ impl Jets {
                     engine: EngineDynamics::new(model, thrust, 0.0),
                     controller: ThrustRateController::new(throttle),
                     ekf: match model {
-                        EngineModel::SecondOrder(engine) => {
-                            Some(ThrustEkf::new(&config.ekf, engine, thrust)?)
-                        }
+                        EngineModel::SecondOrder(engine) => Some(ThrustEkf::new(engine, thrust)),
                         EngineModel::Shaft(_) => None,
                     },
                 })

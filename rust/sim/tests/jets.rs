@@ -248,14 +248,6 @@ fn engines_must_exist_and_be_as_many_as_jets() {
     assert_refused(&with(&["P160"]), &["engines", "1 entries", "4 entries"]);
 }
 
-#[test]
-fn noise_must_be_meaningful() {
-    assert_refused(&second_order(|c| c.ekf.r = 0.0), &["ekf.R is 0"]);
-    assert_refused(&second_order(|c| c.ekf.q = [[1.0, 0.0], [0.5, 1.0]]), &["ekf.Q", "symmetric"]);
-    assert_refused(&second_order(|c| c.ekf.q = [[1.0, 2.0], [2.0, 1.0]]), &["ekf.Q", "semidefinite"]);
-    assert_refused(&second_order(|c| c.ekf.q[0][1] = f64::NAN), &["ekf.Q[0][1] is NaN"]);
-}
-
 /// Thrusts that freeze between two ticks keep those of the tick before, whether they are measured as such or by speeds.
 #[test]
 fn a_frozen_thrust_is_the_one_before() {

@@ -29,7 +29,7 @@ fn updated(tracker: &JointTracker, position: f64, velocity: f64, measured: [f64;
 fn positions_alone_find_the_velocities() {
     let time = 0.02;
     let config = EstimatorConfig { joint_observer: Some(time), ..EstimatorConfig::default() };
-    let tracker = JointTracker::new(Some(&config), &ChannelsConfig::default(), PERIOD);
+    let tracker = JointTracker::new(Some(&config), ChannelsConfig::default(), PERIOD);
     let [a, c] = updated(&tracker, 1.0, 0.0, [0.0, f64::NAN]);
     let [b, d] = updated(&tracker, 0.0, 1.0, [0.0, f64::NAN]);
     let pole = (-PERIOD / time).exp();
@@ -39,7 +39,7 @@ fn positions_alone_find_the_velocities() {
 
 #[test]
 fn what_is_not_measured_is_predicted() {
-    let tracker = JointTracker::new(None, &ChannelsConfig::default(), PERIOD);
+    let tracker = JointTracker::new(None, ChannelsConfig::default(), PERIOD);
     assert_eq!(updated(&tracker, 1.0, 2.0, [3.0, 4.0]), [3.0, 4.0]);
     assert_eq!(updated(&tracker, 1.0, 2.0, [f64::NAN, 1e300]), [1.0 + PERIOD * 2.0, 2.0]);
     let mut joints = InnerLoop::new(1);

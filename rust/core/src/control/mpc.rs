@@ -34,7 +34,7 @@ use crate::jets::JetModel;
 use crate::qp::{PrimalActiveSet, QpAnswer, QpSolver, QpStatus};
 use crate::robot::RobotModel;
 use crate::spatial::{log_so3, stack};
-use config::{Air, MpcConfig};
+use config::{Air, MpcConfig, POSTURE_GAIN};
 use horizon::{Horizon, Target};
 use model::Linearised;
 use nalgebra::Vector6;
@@ -56,7 +56,6 @@ pub struct PredictiveLaw {
     air: Air,
     conventions: LinkConventions,
     period: f64,
-    posture_gain: f64,
     /// Whether it flies the descent too, and holds the heading there.
     flies_descent: bool,
     holds_heading: bool,
@@ -108,9 +107,8 @@ impl PredictiveLaw {
         thrust_rate_max: Vec<f64>,
         time_step: f64,
     ) -> Result<Self, BuildError> {
-        let nonlinear = config.nonlinear_descent.as_ref();
-        let nonlinear = nonlinear.map(|of| Nonlinear::new(of, config, robot, jets.clone(), joints.clone()));
-        let nonlinear = nonlinear.transpose()?;
+        let nonlinear = || Nonlinear::new(config, robot, jets.clone(), joints.clone(), time_step);
+        let nonlinear = config.nonlinear_descent.then(nonlinear).transpose()?;
         let horizon = Horizon::new(config, gains, robot, jets, &joints)?;
         let place = |joint| joints.iter().position(|moved| *moved == joint);
         Ok(Self {
@@ -118,7 +116,6 @@ impl PredictiveLaw {
             air: config.air,
             conventions,
             period: config.period,
-            posture_gain: config.posture_gain,
             flies_descent: config.descent.is_some(),
             holds_heading: config.descent.as_ref().is_none_or(|weights| weights.attitude[2] > 0.0),
             time_step,
@@ -199,7 +196,7 @@ impl PredictiveLaw {
             command.thrust_rate[jet] = within_bounds(terms, unknowns.thrust_rate.start + jet, wanted);
         }
         let velocity = |place: usize| joints[place];
-        command_joints(&self.place, self.posture_gain, state, terms, velocity, command);
+        command_joints(&self.place, state, terms, velocity, command);
         command.rates_qp = QpAnswer::from_status(QpStatus::Solved);
         true
     }
@@ -412,14 +409,13 @@ impl PredictiveLaw {
             command.thrust_rate[jet] = within_bounds(terms, unknowns.thrust_rate.start + jet, rate);
         }
         let velocity = |place: usize| inputs[self.horizon.joint_velocity(knot, place)];
-        command_joints(&self.place, self.posture_gain, state, terms, velocity, command);
+        command_joints(&self.place, state, terms, velocity, command);
     }
 }
 
 /// Commands the planned velocities of the joints that a plan moves; the others return to the posture.
 fn command_joints(
     places: &[Option<usize>],
-    posture_gain: f64,
     state: &ControllerState,
     terms: &Terms,
     planned: impl Fn(usize) -> f64,
@@ -428,7 +424,7 @@ fn command_joints(
     let first = terms.momentum_qp.unknowns.joint_velocity.start;
     for (joint, place) in places.iter().enumerate() {
         let away = state.estimate.robot.state.joint_position[joint] - state.posture[joint];
-        let velocity = place.map_or(-posture_gain * away, &planned);
+        let velocity = place.map_or(-POSTURE_GAIN * away, &planned);
         command.joint_velocity[joint] = within_bounds(terms, first + joint, velocity);
     }
 }

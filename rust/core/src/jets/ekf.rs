@@ -3,31 +3,14 @@
 //! Equation M35 of `docs/model`.
 
 use super::SecondOrder;
-use crate::error::{BuildError, check};
 use nalgebra::{Matrix2, Vector2};
-use serde::{Deserialize, Serialize};
 
 /// Covariance of the initial state, as published.
 const INITIAL: Matrix2<f64> = Matrix2::new(1.0, 0.1, 0.1, 1.0);
 
-/// Parameters of the filter, with the symbols of its equations; the defaults are the published values.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct EkfConfig {
-    /// `Q`: intensity of the process noise.
-    #[serde(rename = "Q")]
-    pub q: [[f64; 2]; 2],
-    /// `R`: intensity of the measurement noise.
-    #[serde(rename = "R")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub r: f64,
-}
-
-impl Default for EkfConfig {
-    fn default() -> Self {
-        Self { q: [[10.0, 1.0], [1.0, 10.0]], r: 1.0 }
-    }
-}
+/// `Q`, `R`: intensities of the noise of the process and of the measurement, as published.
+const Q: Matrix2<f64> = Matrix2::new(10.0, 1.0, 1.0, 10.0);
+const R: f64 = 1.0;
 
 /// Extended Kalman filter of one engine: an update with measurement variance `R/dt`, then a prediction over `dt`.
 ///
@@ -43,24 +26,14 @@ pub struct ThrustEkf {
     model: SecondOrder,
     state: Vector2<f64>,
     covariance: Matrix2<f64>,
-    q: Matrix2<f64>,
-    r: f64,
 }
 
 impl ThrustEkf {
     /// Builds the filter of `model`; it starts from the given thrust \[N\], which is finite, at rest. The published filter
     /// starts at zero: its throttle loop uses too small a thrust for the first two seconds.
-    ///
-    /// # Errors
-    /// A `Q` that is not symmetric and positive semidefinite, an `R` that is not positive.
-    pub fn new(config: &EkfConfig, model: SecondOrder, initial_thrust: f64) -> Result<Self, BuildError> {
-        Ok(Self {
-            model,
-            state: Vector2::new(initial_thrust, 0.0),
-            covariance: INITIAL,
-            q: covariance("ekf.Q", &config.q)?,
-            r: check("ekf.R", config.r, |r| r > 0.0, "a positive noise intensity")?,
-        })
+    #[must_use]
+    pub fn new(model: SecondOrder, initial_thrust: f64) -> Self {
+        Self { model, state: Vector2::new(initial_thrust, 0.0), covariance: INITIAL }
     }
 
     /// Estimated thrust \[N\].
@@ -92,7 +65,7 @@ impl ThrustEkf {
     /// \[%\].
     pub fn update(&mut self, measured_thrust: f64, throttle: f64, dt: f64) {
         let column = self.covariance.column(0).into_owned();
-        let gain = column / (column.x + self.r / dt);
+        let gain = column / (column.x + R / dt);
         self.state += gain * (measured_thrust - self.state.x);
         self.covariance -= gain * column.transpose();
 
@@ -100,20 +73,6 @@ impl ThrustEkf {
         let drift = Vector2::new(thrust_rate, self.model.thrust_acceleration(thrust, thrust_rate, throttle));
         let transition = Matrix2::identity() + dt * self.jacobian(throttle);
         self.state += dt * drift;
-        self.covariance = transition * self.covariance * transition.transpose() + dt * self.q;
+        self.covariance = transition * self.covariance * transition.transpose() + dt * Q;
     }
-}
-
-/// Checks that a 2×2 matrix is a covariance.
-fn covariance(item: &str, rows: &[[f64; 2]; 2]) -> Result<Matrix2<f64>, BuildError> {
-    let [[a, b], [c, d]] = *rows;
-    for (index, value) in [a, b, c, d].into_iter().enumerate() {
-        check(&format!("{item}[{}][{}]", index / 2, index % 2), value, |_| true, "a finite number")?;
-    }
-    let symmetric = (b - c).abs() <= 1e-12 * (b.abs() + c.abs());
-    if !symmetric || a < 0.0 || d < 0.0 || a * d < b * c {
-        let expected = "a symmetric, positive semidefinite matrix";
-        return Err(BuildError::bad_value(item, format!("{rows:?}"), expected));
-    }
-    Ok(Matrix2::new(a, b, c, d))
 }

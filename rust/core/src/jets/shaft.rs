@@ -6,8 +6,6 @@ use crate::error::BuildError;
 use crate::schema::{self, Positive};
 use serde::{Deserialize, Serialize};
 
-/// Standard atmosphere at sea level (ISO 2533): density \[kg/m³\] and temperature \[K\].
-const STANDARD: (f64, f64) = (1.225, 288.15);
 /// Newton's steps from an upper bound of the speed of a thrust: each doubles the digits of a bound that is at most `√2`
 /// times too high.
 const STEPS: u32 = 8;
@@ -34,31 +32,12 @@ pub struct ShaftConfig {
     /// Share of the thrust that is proportional to the square of the speed; the rest is to its cube.
     #[schemars(range(min = 0, max = 1))]
     pub square_share: f64,
-    /// Density of the air \[kg/m³\].
-    #[serde(default = "standard_density")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub density: f64,
-    /// Temperature of the air \[K\].
-    #[serde(default = "standard_temperature")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub temperature: f64,
-}
-
-fn standard_density() -> f64 {
-    STANDARD.0
-}
-
-fn standard_temperature() -> f64 {
-    STANDARD.1
 }
 
 /// One engine of the shaft's speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shaft {
     k: ShaftConfig,
-    /// `√θ` and `δ` of the air.
-    root_theta: f64,
-    delta: f64,
     /// Thrust at full speed in standard air \[N\].
     thrust_max: f64,
 }
@@ -70,8 +49,7 @@ impl Shaft {
     /// [`BuildError`] naming the key of `table`.
     pub fn new(table: &str, k: ShaftConfig, thrust_max: f64) -> Result<Self, BuildError> {
         schema::check(&k, table)?;
-        let theta = k.temperature / STANDARD.1;
-        Ok(Self { k, root_theta: theta.sqrt(), delta: k.density / STANDARD.0 * theta, thrust_max })
+        Ok(Self { k, thrust_max })
     }
 
     /// The same engine with ramps that are `scale` times as fast.
@@ -84,15 +62,14 @@ impl Shaft {
     /// Thrust \[N\] at a speed (M176).
     #[must_use]
     pub fn thrust(&self, speed: f64) -> f64 {
-        let (n, b) = (speed / self.root_theta, self.k.square_share);
-        self.delta * self.thrust_max * n * n * (b + (1.0 - b) * n)
+        let (n, b) = (speed, self.k.square_share);
+        self.thrust_max * n * n * (b + (1.0 - b) * n)
     }
 
     /// First and second derivative of the thrust by the speed \[N\].
     fn slopes(&self, speed: f64) -> (f64, f64) {
-        let (n, b) = (speed / self.root_theta, self.k.square_share);
-        let unit = self.delta * self.thrust_max / self.root_theta;
-        (unit * n * (2.0 * b + 3.0 * (1.0 - b) * n), unit / self.root_theta * (2.0 * b + 6.0 * (1.0 - b) * n))
+        let (n, b, unit) = (speed, self.k.square_share, self.thrust_max);
+        (unit * n * (2.0 * b + 3.0 * (1.0 - b) * n), unit * (2.0 * b + 6.0 * (1.0 - b) * n))
     }
 
     /// Speed that gives a thrust \[N\]; zero without thrust.
@@ -100,7 +77,7 @@ impl Shaft {
     /// The thrust is convex in the speed: Newton's method falls from an upper bound to the root.
     #[must_use]
     pub fn speed(&self, thrust: f64) -> f64 {
-        let share = thrust / (self.delta * self.thrust_max);
+        let share = thrust / self.thrust_max;
         if share <= 0.0 || !share.is_finite() {
             return 0.0;
         }
@@ -109,7 +86,7 @@ impl Shaft {
         for _ in 0..STEPS {
             n -= (n * n * (b + (1.0 - b) * n) - share) / (n * (2.0 * b + 3.0 * (1.0 - b) * n));
         }
-        n * self.root_theta
+        n
     }
 
     /// Speed that a throttle \[%\] demands, and its inverse within 0 and 100 %.
@@ -128,7 +105,7 @@ impl Shaft {
 
     /// Least and greatest acceleration that the gas gives the shaft \[1/s\].
     fn gas(&self, speed: f64) -> (f64, f64) {
-        let torque = self.delta * libm::pow(speed / self.root_theta, self.k.exponent);
+        let torque = libm::pow(speed, self.k.exponent);
         let [up, down] = self.k.accelerations;
         (-down * torque, up * torque)
     }

@@ -18,7 +18,7 @@ fn fly_without(jet: &str, time: f64, of_distances: Option<f64>) -> FlightResult 
             Some(JetFailure { jet: jet.into(), time, kind: FailureKind::Off, decay: 0.0 });
         let mpc = config.controller.law.mpc.as_mut().unwrap();
         if of_distances.is_some() {
-            mpc.nonlinear_descent = None;
+            mpc.nonlinear_descent = false;
             mpc.descent.as_mut().unwrap().clearance = of_distances;
         }
     });

@@ -42,19 +42,19 @@ const FORCE_ARM: f64 = 0.04;
 /// Ramps of a healthy engine, relative to those known.
 const RAMPS: [f64; 2] = [0.7, 1.3];
 
+/// Time constant `τ` with which deviations of the thrust decay \[s\].
+const MEMORY: f64 = 0.5;
+
+/// Time for which a deviation has to exceed its limit \[s\].
+const CONFIRMATION: f64 = 0.03;
+
 /// When an engine counts as not reaching its thrust, and when as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EnginesConfig {
-    /// Time constant with which deviations of the thrust decay \[s\].
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub time_constant: f64,
     /// Greatest deviation of a thrust from the commanded one \[N\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub deviation_max: f64,
-    /// Time for which `deviation_max` has to be exceeded \[s\].
-    #[schemars(range(min = 0))]
-    pub confirmation: f64,
     /// Levelling and descent after the loss of an engine; without it the mission continues.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub descent: Option<DescentConfig>,
@@ -183,7 +183,7 @@ impl EngineState {
         momentum_fractions: Option<[f64; 2]>,
     ) {
         let EngineSample { thrust, innovation, is_measured, is_of_speed, command } = sample;
-        let kept = libm::exp(-dt / config.time_constant);
+        let kept = libm::exp(-dt / MEMORY);
         self.deviation = kept * self.deviation + innovation;
         self.is_of_speed = is_of_speed;
         if let Some(shafts) = &models.ramping {
@@ -362,7 +362,7 @@ impl Engines {
     ) {
         let Self { config, models, .. } = self;
         let shares = (momentum.is_some() || is_between).then_some(self.momentum_fractions);
-        let is_confirmed = |engine: &EngineState| engine.suspected.has_lasted(config.confirmation, dt);
+        let is_confirmed = |engine: &EngineState| engine.suspected.has_lasted(CONFIRMATION, dt);
         for (jet, (engine, models)) in engines.iter_mut().zip(models).enumerate() {
             engine.update(config, models, dt, samples(jet), shares);
             if engine.is_of_speed && is_confirmed(engine) {

@@ -48,6 +48,8 @@ const STILL_WAY: f64 = 0.004;
 /// Distance from a stop within which a joint may be at it, with an encoder that is wrong by 3° \[rad, m\]: there it is not
 /// stuck if it is commanded towards the stop.
 const STOP_MARGIN: f64 = 0.087;
+/// Least commanded displacement within [`WINDOW`] that shows whether a joint is stuck \[rad, m\].
+const COMMANDED: f64 = 0.005;
 /// Displacement by which a weak joint differs from a stuck one \[rad, m\].
 const MOVED: f64 = 0.002;
 /// Displacement by which a stuck joint is found to move again \[rad, m\], and the velocity with which it is tried
@@ -75,9 +77,6 @@ pub struct JointsConfig {
     /// Greatest share of the torque that acts at a weak joint; with more it is not judged.
     #[schemars(range(min = 0, max = 1))]
     pub effectiveness_max: f64,
-    /// Least commanded displacement within 0.3 s that shows whether a joint is stuck \[rad, m\].
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub displacement_min: f64,
 }
 
 /// That the torque of a joint may not act.
@@ -326,7 +325,7 @@ impl JointsState {
             let acting = last.effectiveness() + now.product / now.square;
             let greatest =
                 if last == JointCondition::Healthy { config.effectiveness_max } else { 1.0 + SHARE_ERROR };
-            let found = if self.is_still(config, sample, joint) {
+            let found = if self.is_still(sample, joint) {
                 JointCondition::Stuck
             } else if has_moved && acting > -FREE_SHARE && acting < greatest {
                 JointCondition::of_effectiveness(acting)
@@ -346,7 +345,7 @@ impl JointsState {
 
     /// Whether a joint stands still although it is commanded to move, against a torque that the model does not contain, and
     /// not by a stop.
-    fn is_still(&self, config: &JointsConfig, sample: &JointSample, joint: usize) -> bool {
+    fn is_still(&self, sample: &JointSample, joint: usize) -> bool {
         let (commanded, position) = (self.commanded[joint], self.position[joint]);
         let (lower, upper) = sample.stops[joint];
         let (mut ahead, mut behind) = (upper - position, position - lower);
@@ -357,7 +356,7 @@ impl JointsState {
         // The mean contains what a stop behind the joint carries, which is no resistance when it carries less.
         let resisted = if behind > STOP_MARGIN { residual - mean } else { residual };
         let opposes = resisted * commanded < 0.0;
-        commanded.abs() > config.displacement_min
+        commanded.abs() > COMMANDED
             && opposes
             && ahead > STOP_MARGIN
             && self.way[joint] < STILL_WAY.min(STILL * commanded.abs())

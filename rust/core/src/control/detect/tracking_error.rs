@@ -1,8 +1,8 @@
 //! Whether the tracking errors of the flight are so large that it may be lost.
 //!
 //! ```text
-//! φ̂ = log(R_dᵀ R) + T (R_dᵀ ω − ω_d)        rotation error in `horizon` T
-//! p̂ = p_G − p_d + T (ṗ_G − ṗ_d)              error of the centre of mass in `horizon`
+//! φ̂ = log(R_dᵀ R) + T (R_dᵀ ω − ω_d)        rotation error in the horizon T
+//! p̂ = p_G − p_d + T (ṗ_G − ṗ_d)              error of the centre of mass in it
 //! ```
 //!
 //! They are too large if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
@@ -25,13 +25,16 @@ modes! {
     TRACKING_ERROR = 14, "tracking_error";
 }
 
+/// Time `T` by which errors are extrapolated with their rates \[s\].
+const HORIZON: f64 = 0.3;
+
+/// Time for which a limit has to be exceeded \[s\].
+const CONFIRMATION: f64 = 0.03;
+
 /// When tracking errors count as too large.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TrackingErrorConfig {
-    /// Time by which errors are extrapolated with their rates \[s\].
-    #[schemars(range(min = 0))]
-    pub horizon: f64,
     /// Greatest extrapolated angle between the base and its set-point \[rad\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub rotation: f64,
@@ -41,9 +44,6 @@ pub struct TrackingErrorConfig {
     /// Greatest velocity of a joint \[rad/s, m/s\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_velocity: f64,
-    /// Time for which a limit has to be exceeded \[s\].
-    #[schemars(range(min = 0))]
-    pub confirmation: f64,
 }
 
 /// What is compared with the limits.
@@ -87,7 +87,7 @@ impl TrackingErrorConfig {
             || errors.position > self.position
             || errors.joint_velocity > self.joint_velocity;
         exceeded.update(is_beyond, elapsed);
-        exceeded.has_lasted(self.confirmation, elapsed)
+        exceeded.has_lasted(CONFIRMATION, elapsed)
     }
 }
 
@@ -106,7 +106,7 @@ impl Detector for TrackingErrorConfig {
 
     fn detect(&mut self, exceeded: &mut Exceeded, tick: &Evidence, _: &mut Limits, findings: &mut Findings) {
         let Evidence { estimate, kinematics, dynamics, setpoint, .. } = *tick;
-        let errors = Errors::ahead(self.horizon, &estimate.robot.state, kinematics, dynamics, setpoint);
+        let errors = Errors::ahead(HORIZON, &estimate.robot.state, kinematics, dynamics, setpoint);
         if self.update(exceeded, estimate.elapsed, &errors) {
             findings.modes.insert(Modes::TRACKING_ERROR);
         }

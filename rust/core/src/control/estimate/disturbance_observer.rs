@@ -44,8 +44,11 @@ impl DisturbanceObserverConfig {
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
         let table = Table("controller.disturbance_observer");
-        table.gain("gain_force", self.gain_force, time_step)?;
-        table.gain("gain_moment", self.gain_moment, time_step)
+        let greatest = 1.0 / time_step;
+        let expected = format!("a number from 0 to {greatest}, 1 / time step of {time_step} s");
+        let is_slow = |gain| (0.0..=greatest * (1.0 + 1e-9)).contains(&gain);
+        table.check("gain_force", self.gain_force, is_slow, &expected)?;
+        table.check("gain_moment", self.gain_moment, is_slow, &expected)
     }
 }
 

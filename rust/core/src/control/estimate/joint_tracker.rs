@@ -90,7 +90,7 @@ pub struct JointTracker {
 impl JointTracker {
     /// A tracker for ticks every `period` \[s\], which corrects as the estimator does, and accepts what channels accept.
     #[must_use]
-    pub fn new(estimator: Option<&EstimatorConfig>, channels: &ChannelsConfig, period: f64) -> Self {
+    pub fn new(estimator: Option<&EstimatorConfig>, channels: ChannelsConfig, period: f64) -> Self {
         let share = |time: f64| share(period / time);
         let of =
             |time_of: fn(&EstimatorConfig) -> f64| estimator.map_or(1.0, |config| share(time_of(config)));
@@ -111,7 +111,7 @@ impl JointTracker {
             position,
             velocity,
             greatest: of_jumps(&MAGNITUDES),
-            jump: channels.jump.as_ref().map(of_jumps),
+            jump: channels.jump.then(|| of_jumps(&Jumps::GREATEST)),
         }
     }
 

@@ -29,6 +29,22 @@ const FRICTION_SIDES: usize = 12;
 /// wrenches measured at one instant are not those exerted during a tick (`take_off`, winds up to 10 m/s).
 const IMPACT_TIME: f64 = 0.1;
 
+/// Rates of `f_c*` below this are not integrated on a robot that only stands \[N/s, N m/s\], as published.
+const DEAD_ZONE: f64 = 1e-5;
+
+/// Torsional friction coefficient of `|m_z| ≤ κ f_z` \[m\], as published.
+const TORSIONAL_FRICTION: f64 = 1.0 / 75.0;
+
+/// Gain with which `f_c*` of a standing robot follows the measured wrenches \[1/s\].
+const MEASURED_GAIN: f64 = 1.0;
+
+/// Height of the set-point over the centre of mass beyond which the robot takes off \[m\]; the set-point of a standing
+/// robot is limited to the same distance below the centre of mass.
+const HEIGHT: f64 = 0.01;
+
+/// Time for which the feet of a standing robot may lose contact and still count as carrying load \[s\].
+const HOLD_TIME: f64 = 0.2;
+
 /// Inequalities on the wrench of one foot: friction, torsion, unilateral, centre of pressure.
 pub const WRENCH_ROWS: usize = FRICTION_SIDES + 2 + 1 + 4;
 
@@ -41,26 +57,12 @@ pub struct ContactConfig {
     /// Vertical force above which a foot carries load \[N\]; all of `feet` have to exceed it.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub vertical_force_min: f64,
-    /// Whether `f_c*` starts with the measured moment about y in addition to the vertical force.
-    pub start_with_moment: bool,
     /// Greatest rate of every component of `f_c*` \[N/s, N m/s\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub force_rate_max: f64,
-    /// Rates below this are not integrated \[N/s, N m/s\].
-    #[schemars(range(min = 0))]
-    pub force_rate_dead_zone: f64,
     /// Weight of `ḟ_c → 0` in the momentum QP.
     #[schemars(range(min = 0))]
     pub weight_force_rate: f64,
-    /// Weight of `J_c ν = 0` in the momentum QP.
-    #[schemars(range(min = 0))]
-    pub weight_foot_velocity: f64,
-    /// Weight of `J_c ν̇ + J̇_c ν = 0` in the torque QP.
-    #[schemars(range(min = 0))]
-    pub weight_foot_acceleration: f64,
-    /// Weight of `f_c → f_c*` in the torque QP.
-    #[schemars(range(min = 0))]
-    pub weight_force: f64,
     /// Limits of the wrench of a foot.
     pub wrench: WrenchLimits,
     /// Take-off and landing; without it the robot does neither.
@@ -76,19 +78,9 @@ pub struct LoadTransfer {
     /// Gain with which the load of the unloaded side (feet or jets) decreases \[1/s\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub gain: f64,
-    /// Gain with which `f_c*` of a standing robot follows the measured wrenches \[1/s\].
-    #[schemars(range(min = 0))]
-    pub measured_gain: f64,
-    /// Height of the set-point over the centre of mass beyond which the robot takes off \[m\]; the set-point of a
-    /// standing robot is limited to the same distance below the centre of mass.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub height: f64,
-    /// Time for which the feet of a standing robot may lose contact and still count as carrying load \[s\].
-    #[schemars(range(min = 0))]
-    pub hold_time: f64,
     /// Greatest vertical force on the robot that the controller's model may leave unexplained \[N\]. Above it, measured
     /// foot wrenches are judged wrong, and feet in the air count as carrying load if the set-point is below the centre
-    /// of mass by `height`. Needs `controller.disturbance_observer`; without it foot sensors are trusted, and feet that are not
+    /// of mass by the height of take-off. Needs `controller.disturbance_observer`; without it foot sensors are trusted, and feet that are not
     /// measured do not start to carry load.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -102,9 +94,6 @@ pub struct WrenchLimits {
     /// Friction coefficient of `|f_xy| ≤ μ f_z`, approximated by the regular twelve-sided polygon inside the circle.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub friction: f64,
-    /// Torsional friction coefficient of `|m_z| ≤ κ f_z` \[m\].
-    #[schemars(range(min = 0))]
-    pub torsional_friction: f64,
     /// Least vertical force \[N\].
     #[schemars(range(min = 0))]
     pub vertical_force_min: f64,
@@ -153,7 +142,7 @@ impl WrenchLimits {
             let (sin, cos) = libm::sincos(half_side * (2 * side + 1) as f64);
             *row = Vector6::new(cos, sin, -reach, 0.0, 0.0, 0.0);
         }
-        let torsion = self.torsional_friction;
+        let torsion = TORSIONAL_FRICTION;
         let margin = self.centre_of_pressure_margin;
         let [[x_min, x_max], [y_min, y_max]] =
             foot.extent().map(|[least, greatest]| [least + margin, greatest - margin]);
@@ -256,10 +245,10 @@ impl Contact {
         let mut vertical = measured.as_slice().chunks_exact(WRENCH).map(|wrench| wrench[2]);
         let is_loaded = !measured.is_empty() && vertical.all(|force| force > threshold);
         let mut carries = is_loaded || is_found;
-        if let Some(transfer) = &self.config.load_transfer {
-            self.takes_off = climb > transfer.height;
+        if self.config.load_transfer.is_some() {
+            self.takes_off = climb > HEIGHT;
             state.unloaded_time = if carries { 0.0 } else { state.unloaded_time + time_step };
-            carries |= state.is_active && !self.takes_off && state.unloaded_time <= transfer.hold_time;
+            carries |= state.is_active && !self.takes_off && state.unloaded_time <= HOLD_TIME;
         }
         if carries != state.is_active || is_found {
             state.is_active = carries;
@@ -307,8 +296,8 @@ impl Contact {
         let is_unknown = if state.is_active {
             are_measured && unmodelled.abs() > greatest
         } else {
-            let carried_just_now = are_measured && state.unloaded_time <= transfer.hold_time;
-            unmodelled > greatest && (climb < -transfer.height || carried_just_now)
+            let carried_just_now = are_measured && state.unloaded_time <= HOLD_TIME;
+            unmodelled > greatest && (climb < -HEIGHT || carried_just_now)
         };
         state.unknown.update(is_unknown, elapsed);
         is_unknown && (!are_measured || state.unknown.has_lasted(IMPACT_TIME, elapsed))
@@ -323,21 +312,22 @@ impl Contact {
     /// Greatest distance of a standing robot's set-point below its centre of mass \[m\].
     #[must_use]
     pub fn stand_height(&self) -> Option<f64> {
-        self.config.load_transfer.as_ref().map(|transfer| transfer.height)
+        self.config.load_transfer.as_ref().map(|_| HEIGHT)
     }
 
     /// Sets `f_c*` to the measured wrenches during take-off; while the robot stands, `f_c*` follows them with a gain
     /// (M112).
     fn follow_measured(&self, state: &mut ContactState, measured: &DVector<f64>, time_step: f64) {
-        let Some(transfer) = self.config.load_transfer.as_ref().filter(|_| state.is_active) else { return };
-        let part = if self.takes_off { 1.0 } else { (transfer.measured_gain * time_step).min(1.0) };
+        if self.config.load_transfer.is_none() || !state.is_active {
+            return;
+        }
+        let part = if self.takes_off { 1.0 } else { MEASURED_GAIN * time_step };
         for (force, measured) in state.force.iter_mut().zip(measured) {
             *force += part * (measured - *force);
         }
     }
 
-    /// Restarts `f_c*`. Without load transfer: measured vertical force and, where configured, moment about y of each
-    /// foot. With load transfer: equal parts of the vertical force that jets and aerodynamic forces leave (M112),
+    /// Restarts `f_c*`. Without load transfer: measured vertical force and moment about y of each foot, as published. With load transfer: equal parts of the vertical force that jets and aerodynamic forces leave (M112),
     /// because a measured wrench would be that of the impact.
     fn restart(&self, state: &mut ContactState, measured: &DVector<f64>, left: f64) {
         state.force.fill(0.0);
@@ -353,18 +343,16 @@ impl Contact {
         }
         let wrenches = state.force.as_mut_slice().chunks_exact_mut(WRENCH);
         for (force, measured) in wrenches.zip(measured.as_slice().chunks_exact(WRENCH)) {
-            force[2] = measured[2];
-            if self.config.start_with_moment {
-                force[4] = measured[4];
-            }
+            (force[2], force[4]) = (measured[2], measured[4]);
         }
     }
 
     /// Stores the rate of the momentum QP's answer; without load on the feet there is none.
     pub fn store_rate(&self, state: &mut ContactState, rate: &[f64]) {
         if state.is_active {
+            let dead_zone = if self.config.load_transfer.is_none() { DEAD_ZONE } else { 0.0 };
             for (to, rate) in state.force_rate.iter_mut().zip(rate) {
-                *to = if rate.abs() < self.config.force_rate_dead_zone { 0.0 } else { *rate };
+                *to = if rate.abs() < dead_zone { 0.0 } else { *rate };
             }
         }
     }

@@ -22,7 +22,21 @@ use crate::spatial::{
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Speeds, limits and smoothing times of the set-point generator.
+/// Relative increase of the forward speed by the turbo command, which grows to ten times itself, and its growth \[1/s\], as
+/// published.
+const TURBO_BOOST: f64 = 9.0;
+const TURBO_RATE: f64 = 2.0;
+
+/// Smoothing times of the position, of the filter whose rate output is the jerk, and of the angular velocity \[s\], as
+/// published.
+const POSITION_SMOOTHING: f64 = 1.5;
+const ACCELERATION_SMOOTHING: f64 = 0.005;
+const ANGULAR_VELOCITY_SMOOTHING: f64 = 0.05;
+
+/// Gain with which the smoothed attitude follows the raw one \[1/s\], as published.
+const ATTITUDE_GAIN: f64 = 1.0;
+
+/// Speeds and limits of the set-point generator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SetpointConfig {
@@ -34,21 +48,6 @@ pub struct SetpointConfig {
     pub attitude_rate_deg: [f64; 2],
     /// Least and greatest raw pitch, positive nose down \[deg\].
     pub nose_down_limits_deg: [f64; 2],
-    /// Relative increase of the forward speed by the turbo command: it grows to `1 + turbo_boost` times the speed.
-    #[schemars(range(min = 0))]
-    pub turbo_boost: f64,
-    /// Growth of the boost \[1/s\].
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub turbo_rate: f64,
-    /// Smoothing time of the position \[s\].
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub position_smoothing: f64,
-    /// Smoothing time of the filter whose rate output is the jerk \[s\].
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub acceleration_smoothing: f64,
-    /// Smoothing time of the angular velocity \[s\].
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub angular_velocity_smoothing: f64,
     /// Speed of the descent after the mission has been abandoned \[m/s\].
     #[serde(default = "half_a_metre_per_second")]
     #[schemars(range(min = 0))]
@@ -57,29 +56,25 @@ pub struct SetpointConfig {
     #[serde(default = "deceleration_of_the_boost")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub deceleration: f64,
-    /// Gain with which the smoothed attitude follows the raw one \[1/s\].
-    #[schemars(range(min = 0))]
-    pub attitude_gain: f64,
 }
 
 fn half_a_metre_per_second() -> f64 {
     0.5
 }
 
-/// `speed` times `turbo_rate` of the published flight, the deceleration at the end of its boost.
+/// `speed` times [`TURBO_RATE`] of the published flight, the deceleration at the end of its boost.
 fn deceleration_of_the_boost() -> f64 {
     1.5
 }
 
 impl SetpointConfig {
-    /// Refuses times, speeds and gains that mean nothing at ticks of `time_step` \[s\].
+    /// Refuses values beyond their range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
+    pub fn check(&self) -> Result<(), BuildError> {
         schema::check(self, "controller.setpoint")?;
         let table = Table("controller.setpoint");
-        table.gain("attitude_gain", self.attitude_gain, time_step)?;
         let [low, high] = self.nose_down_limits_deg;
         table.check("nose_down_limits_deg[0]", low, |x| x <= high, "at most the upper limit")
     }
@@ -314,21 +309,21 @@ impl SetpointGenerator {
         forward_axis_b: &Vector3<f64>,
         time_step: f64,
     ) -> Result<Self, BuildError> {
-        config.check(time_step)?;
+        config.check()?;
         if let Mission::Commands(commands) = &mission {
             commands.check()?;
         }
         let up = Vector3::z();
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // positive; saturates
-        let full_boost = (config.turbo_boost / (config.turbo_rate * time_step)).round() as u32;
+        let full_boost = (TURBO_BOOST / (TURBO_RATE * time_step)).round() as u32;
         Ok(Self {
             mission,
             time_step,
             base_from_heading: Matrix3::from_columns(&[*forward_axis_b, up.cross(forward_axis_b), up]),
             full_boost,
-            position_filter: MinimumJerkFilter::new(config.position_smoothing, time_step),
-            acceleration_filter: MinimumJerkFilter::new(config.acceleration_smoothing, time_step),
-            angular_velocity_filter: MinimumJerkFilter::new(config.angular_velocity_smoothing, time_step),
+            position_filter: MinimumJerkFilter::new(POSITION_SMOOTHING, time_step),
+            acceleration_filter: MinimumJerkFilter::new(ACCELERATION_SMOOTHING, time_step),
+            angular_velocity_filter: MinimumJerkFilter::new(ANGULAR_VELOCITY_SMOOTHING, time_step),
             config: config.clone(),
         })
     }
@@ -475,7 +470,7 @@ impl SetpointGenerator {
             }
             (forward, vertical, nose_down, yaw) = (1.0, 0.0, 1.0, 0.0);
         }
-        let boost = f64::from(raw.turbo_ticks) * (config.turbo_rate * self.time_step);
+        let boost = f64::from(raw.turbo_ticks) * (TURBO_RATE * self.time_step);
         let [speed_forward, speed_vertical] = config.speed;
         let [rate_pitch, rate_yaw] = config.attitude_rate_deg.map(|rate| rate.to_radians() * self.time_step);
         let [low, high] = config.nose_down_limits_deg.map(f64::to_radians);
@@ -493,7 +488,7 @@ impl SetpointGenerator {
 
         let rotation = state.rotation;
         let raw_rotation = rotation_from_rpy(&state.raw.rpy) * self.base_from_heading.transpose();
-        let omega = -self.config.attitude_gain * vee_of_skew_part(&(raw_rotation.transpose() * rotation));
+        let omega = -ATTITUDE_GAIN * vee_of_skew_part(&(raw_rotation.transpose() * rotation));
         self.angular_velocity_filter.update(&mut state.angular_velocity, &omega);
         state.rotation = project_to_so3(&(rotation + rotation * skew(&omega) * self.time_step));
 

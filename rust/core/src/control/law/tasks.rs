@@ -29,6 +29,12 @@ use std::sync::Arc;
 /// Rows of the momentum (3), attitude (3) and angular-momentum (3) tasks, which precede all others.
 pub const MOMENTUM_ROWS: usize = 9;
 
+/// Added to the diagonal of the Hessian, as published.
+const REGULARISATION: f64 = 1e-4;
+
+/// Weight of `J_c ν = 0`, as published on the ground.
+const WEIGHT_FOOT_VELOCITY: f64 = 150.0;
+
 /// Weights of the tasks in the momentum QP.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -53,9 +59,6 @@ pub struct MomentumWeights {
     pub symmetry: f64,
     /// Pairs of jets with equal thrust rates.
     pub symmetric_jets: Vec<[String; 2]>,
-    /// Added to the diagonal of the Hessian.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub regularisation: f64,
 }
 
 impl MomentumWeights {
@@ -99,17 +102,17 @@ pub fn standard_tasks(
             gain: transfer_gain,
         }));
     }
-    if let Some(&ContactConfig { weight_force_rate, weight_foot_velocity, .. }) = contact {
-        tasks.push(Arc::new(Feet { rows: force_rate.len(), weight: weight_foot_velocity }));
+    if let Some(contact) = contact {
+        tasks.push(Arc::new(Feet { rows: force_rate.len(), weight: WEIGHT_FOOT_VELOCITY }));
         tasks.push(Arc::new(LoadRate {
             side: Side::Feet,
             first: force_rate.start,
-            weights: vec![weight_force_rate; force_rate.len()],
+            weights: vec![contact.weight_force_rate; force_rate.len()],
             gain: transfer_gain,
         }));
     }
     tasks.push(keep_small("joint velocity", joint_velocity, weights.joint_velocity));
-    tasks.push(keep_small("regularisation", &(0..unknowns.len()), weights.regularisation));
+    tasks.push(keep_small("regularisation", &(0..unknowns.len()), REGULARISATION));
     Ok(tasks)
 }
 

@@ -28,6 +28,16 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+/// Weight of the torques, and what is added to the diagonal of the Hessian, as published.
+const WEIGHT_TORQUE: f64 = 0.001;
+const REGULARISATION: f64 = 1e-4;
+
+/// Weight of `J_c ν̇ + J̇_c ν = 0`, as published on the ground.
+const WEIGHT_FOOT_ACCELERATION: f64 = 100.0;
+
+/// Weight of `f_c → f_c*`, as published there.
+const WEIGHT_FORCE: f64 = 1.0;
+
 /// The joint torque controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -41,12 +51,6 @@ pub struct TorqueConfig {
     /// Weight of the joint acceleration task.
     #[schemars(range(min = 0))]
     pub weight_acceleration: f64,
-    /// Weight of the torques.
-    #[schemars(range(min = 0))]
-    pub weight_torque: f64,
-    /// Added to the diagonal of the Hessian.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub regularisation: f64,
     /// Greatest torque of revolute joints \[N m\], in place of the robot's own limits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -99,7 +103,6 @@ pub struct TorqueQp {
     weighted: DMatrix<f64>,
     roots: DVector<f64>,
     weighted_error: DVector<f64>,
-    weight_force: f64,
     /// `w_f + ε` and `w_τ + ε`.
     diagonal: DVector<f64>,
     wrench_rows: Vec<[(Vector6<f64>, f64); WRENCH_ROWS]>,
@@ -125,10 +128,9 @@ impl TorqueQp {
             weight_acceleration: config.weight_acceleration,
             feet: DMatrix::zeros(6 + joints, forces),
             weighted: DMatrix::zeros(n, n),
-            roots: per_block(contact.weight_foot_acceleration.sqrt(), config.weight_acceleration.sqrt()),
+            roots: per_block(WEIGHT_FOOT_ACCELERATION.sqrt(), config.weight_acceleration.sqrt()),
             weighted_error: DVector::zeros(n),
-            weight_force: contact.weight_force,
-            diagonal: per_block(contact.weight_force, config.weight_torque).add_scalar(config.regularisation),
+            diagonal: per_block(WEIGHT_FORCE, WEIGHT_TORQUE).add_scalar(REGULARISATION),
             wrench_rows: robot.feet.iter().map(|foot| contact.wrench.rows(foot)).collect(),
         }
     }
@@ -251,7 +253,7 @@ impl TorqueQp {
         g.fill(0.0);
         linalg::add_mat_vec(g.as_mut_slice(), self.weighted.as_slice(), n, self.weighted_error.as_slice());
         for (g, wanted) in g.iter_mut().zip(force_desired) {
-            *g -= self.weight_force * wanted;
+            *g -= WEIGHT_FORCE * wanted;
         }
     }
 

@@ -50,8 +50,14 @@ const CONFIRMATION: f64 = 0.2;
 /// Relative growth of [`Jumps`] with the age of a channel \[1/s\]: predictions drift.
 const WIDENING: f64 = 1.0;
 
+/// Time for which the last wind is held \[s\].
+const WIND_HOLD: f64 = 1.0;
+
 /// Time in which the wind fades to zero after it was held \[s\].
 const WIND_FADE: f64 = 2.0;
+
+/// Age of a channel of joints or base above which the robot levels and descends, to the end of the flight \[s\].
+const DESCEND_AFTER: f64 = 3.0;
 
 /// Gain with which a base velocity that is not measured follows the differences of the pose \[1/s\].
 const VELOCITY_GAIN: f64 = 100.0;
@@ -59,7 +65,8 @@ const VELOCITY_GAIN: f64 = 100.0;
 /// The channels of one controller.
 #[derive(Debug, Clone)]
 pub struct Channels {
-    config: ChannelsConfig,
+    /// Whether jumps are refused.
+    refuses_jumps: bool,
     time_step: f64,
     parts: Vec<Channel>,
     jets: Vec<JetModel>,
@@ -99,19 +106,19 @@ impl Channels {
     /// neither needed nor measured count as zero.
     #[must_use]
     pub fn new(
-        config: &ChannelsConfig,
+        config: ChannelsConfig,
         robot: &RobotModel,
         models: Vec<JetModel>,
         time_step: f64,
         needs_joint_velocity: bool,
     ) -> Self {
-        let near = config.jump.clone().unwrap_or(Jumps::NONE);
+        let near = if config.jump { Jumps::GREATEST } else { Jumps::NONE };
         let beyond = CONFIRMATION * near.joint_position;
         let stops = robot.joints.iter().map(|joint| joint.stops);
         let foot = [greatest::FOOT_FORCE, greatest::FOOT_MOMENT];
         let channels = [Channel::Wind].into_iter().chain((0..robot.jets.len()).map(Channel::Thrust));
         Self {
-            config: config.clone(),
+            refuses_jumps: config.jump,
             time_step,
             parts: channels
                 .chain([
@@ -199,7 +206,7 @@ impl Channels {
         if !is_rotation(&measurement.state.base.rotation) {
             return Err(BadStart::NoRotation);
         }
-        if self.config.jump.is_some() {
+        if self.refuses_jumps {
             self.check_ranges(now)?;
         }
         // Where wind, thrusts or foot wrenches cannot be accepted: none, until they are.
@@ -257,7 +264,7 @@ impl Channels {
         is_descending: &mut bool,
         used: &mut Estimate,
     ) {
-        let is_step = state.update_clock(measurement.time, self.time_step, self.config.jump.is_some(), used);
+        let is_step = state.update_clock(measurement.time, self.time_step, self.refuses_jumps, used);
         let time = used.robot.time;
         if self.fit(measurement) {
             self.read(measurement, used);
@@ -289,7 +296,7 @@ impl Channels {
         let mut is_pose_new = is_step;
         for (place, channel) in self.parts.iter().enumerate() {
             let is_new = self.accept(state, place, dt, missed_ticks, used);
-            *is_descending |= channel.is_vital() && state.records[place].age > self.config.descend_after;
+            *is_descending |= channel.is_vital() && state.records[place].age > DESCEND_AFTER;
             match channel {
                 Channel::AngularVelocity if was_begun => self.integrate_pose(state, &used.robot, dt),
                 Channel::Position | Channel::Rotation => is_pose_new &= is_new,
@@ -390,8 +397,7 @@ impl Channels {
             record.against = u32::from(is_plausible && !is_sound) * (1 + u32::from(agrees) * record.against);
         }
         let is_outvoted = record.against > record.support;
-        record.is_distrusted |=
-            kind == Channel::Wind && is_plausible && !is_sound && record.age > self.config.wind_hold;
+        record.is_distrusted |= kind == Channel::Wind && is_plausible && !is_sound && record.age > WIND_HOLD;
         record.is_frozen = is_same && (record.is_frozen || leaves);
         if (is_sound || is_outvoted) && !record.is_frozen && !record.is_distrusted {
             record.age = 0.0;
@@ -456,7 +462,7 @@ impl Channels {
             match channel {
                 Channel::Thrust(jet) => used.thrust_innovation[*jet] = 0.0,
                 Channel::Wind => {
-                    let left = 1.0 - (record.age - self.config.wind_hold) / WIND_FADE;
+                    let left = 1.0 - (record.age - WIND_HOLD) / WIND_FADE;
                     used.robot.wind *= left.clamp(0.0, 1.0);
                     if left <= 0.0 {
                         used.modes.insert(Modes::WIND_LOST);

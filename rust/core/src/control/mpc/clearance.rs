@@ -12,6 +12,12 @@ use serde::{Deserialize, Serialize};
 /// Keeps quotients finite if a segment is a point or two segments are parallel \[m², m⁴\].
 const TINY: f64 = 1e-12;
 
+/// Least distance of the surfaces; an exhaust is its axis \[m\].
+pub(super) const LEAST: f64 = 0.03;
+
+/// Weight of a distance below the least one \[1/m²\].
+pub(super) const WEIGHT: f64 = 5e3;
+
 /// What the plan keeps apart: every exhaust and `links` from each of `apart_from`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -23,12 +29,6 @@ pub struct ClearanceConfig {
     pub links: Vec<String>,
     /// Aerodynamic links, and frames of soles, of which they keep clear.
     pub apart_from: Vec<String>,
-    /// Least distance of the surfaces; an exhaust is its axis \[m\].
-    #[schemars(range(min = 0))]
-    pub least: f64,
-    /// Weight of a lesser distance \[1/m²\].
-    #[schemars(range(min = 0))]
-    pub weight: f64,
 }
 
 /// All points within a radius of a segment that moves with a body.

@@ -1,7 +1,6 @@
 //! Configuration of the predictive law.
 
 use super::clearance::{Clearance, ClearanceConfig};
-use super::nonlinear::config::NonlinearConfig;
 use crate::aero::{AeroModel, LinkConventions};
 use crate::error::{BuildError, Table, check_values_by_name, place_of};
 use crate::robot::RobotModel;
@@ -10,6 +9,15 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 const MPC: Table = Table("controller.mpc");
+
+/// Gain with which joints that the law does not move return to the posture \[1/s\].
+pub(super) const POSTURE_GAIN: f64 = 5.0;
+
+/// `λ`: rate at which errors decay after the horizon \[1/s\].
+pub(super) const DECAY: f64 = 3.0;
+
+/// Weight of a joint position beyond its limits \[1/rad²\].
+pub(super) const JOINT_EXCESS: f64 = 1e3;
 
 /// Greatest number of knots, and of ticks that the horizon lasts.
 const KNOTS_MAX: usize = 16;
@@ -64,7 +72,7 @@ pub struct MpcWeights {
     /// per second; `a + λ v` along an axis whose position has no weight \[s⁴/m², s⁴/rad²\].
     #[schemars(inner(range(min = 0)))]
     pub tail: [f64; 2],
-    /// Distances below the least one, in place of the weight of `clearance` \[1/m²\].
+    /// Distances below the least one, in place of the usual weight of 5000 \[1/m²\].
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0))]
     pub clearance: Option<f64>,
@@ -86,18 +94,9 @@ pub struct MpcConfig {
     pub joint_knots: Vec<usize>,
     /// Groups of joints that the law moves; the others return to the posture.
     pub joint_groups: Vec<String>,
-    /// Gain with which the other joints return to the posture \[1/s\].
-    #[schemars(range(min = 0))]
-    pub posture_gain: f64,
-    /// `λ`: rate at which errors decay after the horizon \[1/s\].
-    #[schemars(range(min = 0))]
-    pub decay: f64,
     /// Weight of a thrust beyond its range \[1/N²\].
     #[schemars(range(min = 0))]
     pub thrust_excess: f64,
-    /// Weight of a joint position beyond its limits \[1/rad²\].
-    #[schemars(range(min = 0))]
-    pub joint_excess: f64,
     /// What the plan keeps apart; without it nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clearance: Option<ClearanceConfig>,
@@ -106,9 +105,9 @@ pub struct MpcConfig {
     /// Weights of the descent after the loss of an engine; without them the momentum QP flies the descent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub descent: Option<MpcWeights>,
-    /// Nonlinear plan of the descent; without it, and where it finds none, the linear plan flies the descent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub nonlinear_descent: Option<NonlinearConfig>,
+    /// Whether a nonlinear plan flies the descent; otherwise, and where it finds none, the linear plan does.
+    #[serde(default)]
+    pub nonlinear_descent: bool,
 }
 
 impl MpcConfig {
@@ -124,7 +123,6 @@ impl MpcConfig {
                 check_values_by_name(&format!("controller.mpc.{table}.posture"), of, groups)
             })?;
         }
-        MPC.gain("posture_gain", self.posture_gain, time_step)?;
         let is_whole = |value: f64| (value / time_step - (value / time_step).round()).abs() < 1e-6;
         let expected = format!("a whole number of ticks of {time_step} s");
         MPC.check("period", self.period, |x| x > 0.0 && is_whole(x), &expected)?;
@@ -151,9 +149,9 @@ impl MpcConfig {
                 expected,
             ));
         }
-        if self.nonlinear_descent.is_some() && self.descent.is_none() {
-            let expected = "none without controller.mpc.descent, whose plan flies where it finds none";
-            return Err(BuildError::bad_value("controller.mpc.nonlinear_descent", "given", expected));
+        if self.nonlinear_descent && self.descent.is_none() {
+            let expected = "false without controller.mpc.descent, whose plan flies where it finds none";
+            return Err(BuildError::bad_value("controller.mpc.nonlinear_descent", true, expected));
         }
         let joints = self.joints(robot)?.len();
         Clearance::new(self.clearance.as_ref(), robot, joints).map(|_| ())

@@ -3,8 +3,8 @@
 //! H and g collect the squares of the errors of what the prediction has at the end of every knot, of the states of jets and
 //! joints and of the inputs, and of what is beyond its limits. Equations M123, M124 and M126 of `docs/model`.
 
-use super::clearance::Clearance;
-use super::config::{MpcConfig, MpcWeights};
+use super::clearance::{self, Clearance};
+use super::config::{DECAY, JOINT_EXCESS, MpcConfig, MpcWeights};
 use super::model::Linearised;
 use super::prediction::{OUTPUTS, Outputs, Prediction};
 use crate::control::terms::Present;
@@ -70,11 +70,11 @@ impl MpcWeights {
         .map(|weights| weights.map(|weight| (duration * weight).sqrt()))
     }
 
-    fn tail_rows(&self, decay: f64) -> TailRows {
+    fn tail_rows(&self) -> TailRows {
         std::array::from_fn(|row| {
             let (half, axis) = (row / 3, row % 3);
             let of_position = [self.position, self.attitude][half][axis];
-            let whole = if of_position > 0.0 { [decay * decay, 2.0 * decay, 1.0] } else { [0.0, decay, 1.0] };
+            let whole = if of_position > 0.0 { [DECAY * DECAY, 2.0 * DECAY, 1.0] } else { [0.0, DECAY, 1.0] };
             whole.map(|factor| factor * self.tail[half].sqrt())
         })
     }
@@ -152,7 +152,6 @@ pub struct Horizon {
     pub clearance: Clearance,
     /// The motion at the end of every knot.
     pub prediction: Prediction,
-    decay: f64,
     weights: [MpcWeights; 2],
     /// Weights of the squares of each chain's first two states and of its input.
     squares: [Vec<[f64; 3]>; 2],
@@ -161,8 +160,6 @@ pub struct Horizon {
     /// Weighted outputs by the unknowns: one column for each row of the cost.
     weighted: DMatrix<f64>,
     residual: DVector<f64>,
-    /// Least distance \[m\].
-    least_distance: f64,
     /// Weight of a lesser one \[1/m²\], while all engines work and in the descent.
     distance_weight: [f64; 2],
     /// Thrusts and joint positions by knot, then distances by knot.
@@ -206,17 +203,15 @@ impl Horizon {
         });
         let constant = [0, 1].map(|choice: usize| constant_cost(&prediction, &squares[choice]));
         let of_jets = std::iter::repeat_n(config.thrust_excess, jets);
-        let of_chains = of_jets.chain(std::iter::repeat_n(config.joint_excess, joints.len()));
+        let of_chains = of_jets.chain(std::iter::repeat_n(JOINT_EXCESS, joints.len()));
         let clearance = Clearance::new(config.clearance.as_ref(), robot, joints.len())?;
-        let (least_distance, weight) =
-            config.clearance.as_ref().map_or((0.0, 0.0), |clearance| (clearance.least, clearance.weight));
-        let distance_weight = weights.each_ref().map(|weights| weights.clearance.unwrap_or(weight));
-        let of_distances = std::iter::repeat_n(weight, clearance.len() * knots);
+        let distance_weight =
+            weights.each_ref().map(|weights| weights.clearance.unwrap_or(clearance::WEIGHT));
+        let of_distances = std::iter::repeat_n(clearance::WEIGHT, clearance.len() * knots);
         let of_chains = (0..knots).flat_map(|_| of_chains.clone());
         let limited: Vec<Limited> = of_chains.chain(of_distances).map(Limited::new).collect();
         Ok(Self {
             problem: QpProblem::new(n, 0),
-            decay: config.decay,
             weights,
             squares,
             constant,
@@ -225,7 +220,6 @@ impl Horizon {
             ends: vec![0.0; limited.len()],
             limited,
             clearance,
-            least_distance,
             distance_weight,
             row: vec![0.0; n - jets * knots],
             way: DVector::zeros(n),
@@ -314,7 +308,7 @@ impl Horizon {
         let Self { prediction, weighted, residual, .. } = self;
         let (n, first, of_tail) = (prediction.unknowns(), OUTPUTS * knot, OUTPUTS * prediction.knots());
         let roots = self.weights[weights].rows(prediction.durations[knot]);
-        let tail = (knot + 1 == prediction.knots()).then(|| self.weights[weights].tail_rows(self.decay));
+        let tail = (knot + 1 == prediction.knots()).then(|| self.weights[weights].tail_rows());
         for (row, (error, root)) in flatten(errors).zip(roots.as_flattened()).enumerate() {
             residual[first + row] = root * error;
         }
@@ -418,7 +412,7 @@ impl Horizon {
                 limited.value += by * (of_joint.value - position[*joint]);
                 limited.free += by * (of_joint.free - position[*joint]);
             }
-            limited.range = (self.least_distance, f64::INFINITY);
+            limited.range = (clearance::LEAST, f64::INFINITY);
         }
     }
 

@@ -15,8 +15,6 @@
 //! riccati    backward pass                              [`riccati`]
 //! ```
 
-#[doc(hidden)]
-pub mod config;
 pub mod knot;
 #[doc(hidden)]
 pub mod riccati;
@@ -24,12 +22,11 @@ pub mod riccati;
 use super::clearance::Clearance;
 use super::config::MpcConfig;
 use crate::aero::AeroModel;
-use crate::error::BuildError;
+use crate::error::{BuildError, check};
 use crate::jets::JetModel;
 use crate::linalg;
 use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, log_so3};
-use config::NonlinearConfig;
 use knot::{Expansion, Knot, State, World};
 use nalgebra::DVector;
 use riccati::Riccati;
@@ -39,6 +36,13 @@ const SHARES: [f64; 3] = [1.0, 0.3, 0.0];
 /// Factor and sum by which a plan may cost more than the last one, because it begins elsewhere.
 const GROWTH: f64 = 1.3;
 const GROWTH_LEAST: f64 = 50.0;
+/// Durations of the knots \[s\], 1.88 s together: manoeuvres of seconds.
+const KNOTS: [f64; 27] = [
+    0.02, 0.02, 0.04, 0.04, 0.04, 0.04, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08,
+    0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08, 0.08,
+];
+/// For how long the errors at the end of the last knot count \[s\].
+const TAIL: f64 = 1.0;
 /// Weight of a change of the inputs: at the first plan, its limits, and its factor after a plan whose whole step was flown;
 /// its inverse after another one.
 const DAMPING: f64 = 1.0;
@@ -84,8 +88,6 @@ struct Motion {
 pub(super) struct Nonlinear {
     /// The plan of a state at the start of a flight.
     pub(super) no_plan: NonlinearPlan,
-    knots: Vec<f64>,
-    tail: f64,
     knot: Knot,
     flown: Motion,
     /// Dynamics and cost along it.
@@ -102,16 +104,23 @@ pub(super) struct Nonlinear {
 
 impl Nonlinear {
     /// # Errors
-    /// [`BuildError`] for a link that the robot does not have.
+    /// [`BuildError`] for a link that the robot does not have, for longer ticks than knots, and without engines to plan with;
+    /// `time_step` is that of the ticks \[s\].
     pub(super) fn new(
-        config: &NonlinearConfig,
         mpc: &MpcConfig,
         robot: &RobotModel,
         jets: Vec<JetModel>,
         joints: Vec<usize>,
+        time_step: f64,
     ) -> Result<Self, BuildError> {
+        let expected = format!("at most {} s, the first knot of `mpc.nonlinear_descent`", KNOTS[0]);
+        check("controller.time_step", time_step, |x| x <= KNOTS[0] * (1.0 + 1e-6), &expected)?;
+        if jets.iter().any(|jet| jet.engine.is_none()) {
+            let expected = "throttled: `mpc.nonlinear_descent` plans with engines";
+            return Err(BuildError::bad_value("controller.jet_dynamics", "ideal", expected));
+        }
         let state = State::new(jets.len(), joints.len());
-        let (n, m, knots) = (state.size(), jets.len() + joints.len(), config.knots.len());
+        let (n, m, knots) = (state.size(), jets.len() + joints.len(), KNOTS.len());
         let clearance = Clearance::new(mpc.clearance.as_ref(), robot, joints.len())?;
         let flown = Motion { states: vec![state.clone(); knots + 1], inputs: vec![0.0; knots * m] };
         let no_plan = NonlinearPlan {
@@ -124,9 +133,7 @@ impl Nonlinear {
         };
         Ok(Self {
             no_plan,
-            knots: config.knots.clone(),
-            tail: config.tail,
-            knot: Knot::new(config, mpc, robot, jets, joints, clearance),
+            knot: Knot::new(mpc, robot, jets, joints, clearance),
             flown,
             expansions: vec![Expansion::new(n, m); knots + 1],
             riccati: Riccati::new(n, m),
@@ -162,7 +169,7 @@ impl Nonlinear {
         for ((input, flown), step) in inputs.iter_mut().zip(&plan.motion.inputs).zip(&plan.steps) {
             *input = flown + step;
         }
-        let end = &plan.motion.states[self.knots.len()];
+        let end = &plan.motion.states[KNOTS.len()];
         end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT
     }
 
@@ -203,15 +210,15 @@ impl Nonlinear {
         most: f64,
         last: Option<(&NonlinearPlan, f64, f64)>,
     ) -> Option<f64> {
-        let (n, m, knots) = (self.difference.len(), self.inputs.len(), self.knots.len());
+        let (n, m, knots) = (self.difference.len(), self.inputs.len(), KNOTS.len());
         let (mut cost, mut begin) = (0.0, 0.0);
-        for (knot, &duration) in self.knots.iter().enumerate() {
+        for (knot, &duration) in KNOTS.iter().enumerate() {
             let (before, after) = self.flown.states.split_at_mut(knot + 1);
             let (state, next) = (&before[knot], &mut after[0]);
             let inputs = &mut self.flown.inputs[knot * m..(knot + 1) * m];
             if let Some((plan, share, age)) = last {
                 let times = (begin + age, begin + age + duration);
-                let place = plan.read(&self.knots, times, share, inputs, &mut self.state);
+                let place = plan.read(times, share, inputs, &mut self.state);
                 state.minus(&self.state, &mut self.difference);
                 let gain = &plan.gains[place * m * n..(place + 1) * m * n];
                 linalg::add_mat_vec(inputs, gain, m, self.difference.as_slice());
@@ -230,7 +237,7 @@ impl Nonlinear {
             begin += duration;
         }
         let (end, last) = ((&self.flown.states[knots], &*self.none), &mut self.expansions[knots]);
-        self.knot.advance(aero, world, end, (0.0, self.tail), &mut self.state, last)?;
+        self.knot.advance(aero, world, end, (0.0, TAIL), &mut self.state, last)?;
         cost += last.cost;
         (cost.is_finite() && cost <= most).then_some(cost)
     }
@@ -239,19 +246,12 @@ impl Nonlinear {
 impl NonlinearPlan {
     /// Writes the mean of the inputs between two times \[s\] with a share of their step, and the state at the first time;
     /// returns its knot.
-    fn read(
-        &self,
-        knots: &[f64],
-        (begin, end): (f64, f64),
-        of_step: f64,
-        inputs: &mut [f64],
-        state: &mut State,
-    ) -> usize {
+    fn read(&self, (begin, end): (f64, f64), of_step: f64, inputs: &mut [f64], state: &mut State) -> usize {
         let m = inputs.len();
         inputs.fill(0.0);
         let (mut start, mut found) = (0.0, None);
-        for (place, length) in knots.iter().enumerate() {
-            let is_last = place + 1 == knots.len();
+        for (place, length) in KNOTS.iter().enumerate() {
+            let is_last = place + 1 == KNOTS.len();
             let stop = if is_last { f64::INFINITY } else { start + length };
             let share = (end.min(stop) - begin.max(start)).max(0.0) / (end - begin);
             if share > 0.0 {

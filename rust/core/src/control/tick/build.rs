@@ -72,7 +72,7 @@ impl Controller {
         let measures_joint_velocity = of_estimator.is_none_or(|config| config.joint_observer.is_none());
         let jets = robot.jet_models(dynamics);
         let channels =
-            Channels::new(&config.channels, &robot, jets.clone(), time_step, measures_joint_velocity);
+            Channels::new(config.channels, &robot, jets.clone(), time_step, measures_joint_velocity);
         let contact = config.contact.clone().unwrap_or_default();
         let torque_qp = TorqueQp::new(&config.torque, &contact, &model);
         let mut momentum_qp = MomentumQp::new(&config.bounds, contact.force_rate_max, &model);
@@ -102,7 +102,7 @@ impl Controller {
             law,
             policy: None,
             torques: Torques::new(torques, config.frictions(&model), period),
-            joints: JointTracker::new(config.estimator.as_ref(), &config.channels, period),
+            joints: JointTracker::new(config.estimator.as_ref(), config.channels, period),
             torque_steps,
             last_tick: 0,
             terms: Terms::new(&model, jets.len(), limits, contact, momentum_qp, torque_qp),
@@ -131,7 +131,6 @@ fn build_predictive(
     let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);
     let joints = mpc.joints(robot)?;
     let jets = robot.jet_models(config.jet_dynamics);
-    mpc.nonlinear_descent.as_ref().map_or(Ok(()), |descent| descent.check(&jets, time_step))?;
     let law = PredictiveLaw::new(
         mpc,
         conventions,

@@ -1,11 +1,10 @@
 //! The dynamics at a knot, the motion to the next one, and the cost, both expanded.
 
-use super::config::NonlinearConfig;
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::momentum::{AeroFeedback, MomentumModel};
 use crate::control::measure::measurement::Measurement;
-use crate::control::mpc::clearance::Clearance;
-use crate::control::mpc::config::{Air, MpcConfig};
+use crate::control::mpc::clearance::{self, Clearance};
+use crate::control::mpc::config::{Air, JOINT_EXCESS, MpcConfig};
 use crate::control::mpc::model::{self, Linearised};
 use crate::control::terms::Present;
 use crate::dynamics::Dynamics;
@@ -40,6 +39,21 @@ const K: usize = 7;
 const T: usize = 10;
 /// Differences of a thrust and a thrust rate for derivatives of its acceleration \[N, N/s\].
 const SMALL: f64 = 1e-4;
+/// Weights of squares, per second; the sweep `robot_descent` judges them. Velocity of the centre of mass, along x, y and z
+/// \[s²/m²\]; beyond this speed its horizontal cost grows linearly (pseudo-Huber) \[m/s\]: a fast robot that brakes at
+/// once turns over.
+const VELOCITY: [f64; 3] = [80.0, 80.0, 200.0];
+const LINEAR_BEYOND: f64 = 0.7;
+/// Lean, of which `2 (1 − cos)` is the square \[1/rad²\], and angular velocity \[s²/rad²\].
+const LEAN: f64 = 300.0;
+const ANGULAR_VELOCITY: f64 = 5.0;
+/// Joint positions about the posture of the first tick \[1/rad²\], and joint velocities \[s²/rad²\].
+const POSTURE: f64 = 0.05;
+const JOINT_VELOCITY: f64 = 5.0;
+/// Thrust rates \[s²/N²\].
+const THRUST_RATE: f64 = 1e-6;
+/// Distances below the least one, not per second \[1/m²\].
+const CLEARANCE: f64 = 300.0;
 /// Weight of an engine's input about the middle of its range, per second: it selects one of equal descents.
 const ENGINE_INPUT: f64 = 0.01;
 
@@ -165,9 +179,8 @@ impl Expansion {
 /// The dynamics at one state; preallocated.
 #[derive(Debug)]
 pub struct Knot {
-    config: NonlinearConfig,
-    /// Weights of a thrust beyond its range \[1/N²\] and of a joint beyond its limits \[1/rad²\].
-    excess: [f64; 2],
+    /// Weight of a thrust beyond its range \[1/N²\].
+    thrust_excess: f64,
     /// Places of the planned joints.
     pub joints: Vec<usize>,
     jets: Vec<JetModel>,
@@ -181,7 +194,6 @@ pub struct Knot {
     momentum: MomentumModel,
     model: Linearised,
     clearance: Clearance,
-    least_distance: f64,
     /// ∂ẋ/∂(x, u), and ẋ.
     by: DMatrix<f64>,
     x_dot: DVector<f64>,
@@ -193,7 +205,6 @@ impl Knot {
     /// Returns the knots' dynamics and cost, with their workspace.
     #[must_use]
     pub fn new(
-        config: &NonlinearConfig,
         mpc: &MpcConfig,
         robot: &RobotModel,
         jets: Vec<JetModel>,
@@ -202,7 +213,6 @@ impl Knot {
     ) -> Self {
         let (n, m) = (T + 2 * jets.len() + joints.len(), jets.len() + joints.len());
         Self {
-            config: config.clone(),
             works: vec![true; jets.len()],
             bounds: vec![(0.0, 1.0); m],
             robot: Measurement::zero(robot.joints.len(), jets.len(), 0),
@@ -212,8 +222,7 @@ impl Knot {
             momentum: MomentumModel::new(robot),
             model: Linearised::new(robot, joints.clone()),
             clearance,
-            least_distance: mpc.clearance.as_ref().map_or(0.0, |clearance| clearance.least),
-            excess: [mpc.thrust_excess, mpc.joint_excess],
+            thrust_excess: mpc.thrust_excess,
             by: DMatrix::zeros(n, n + m),
             x_dot: DVector::zeros(n),
             x_ddot: DVector::zeros(n),
@@ -432,20 +441,20 @@ impl Knot {
         let (jets, joints) = (self.jets.len(), self.joints.len());
         let (r, s) = (T + jets, T + 2 * jets);
         let n = s + joints;
-        let Self { config, row, excess: [of_thrust, of_joint], .. } = self;
+        let Self { row, thrust_excess, .. } = self;
         to.cost = 0.0;
         to.gradient.fill(0.0);
         to.hessian.fill(0.0);
         // s² (√(1 + v²/s²) − 1) along x and y
-        for axis in 0..2 {
-            let (speed, weight) = (state.velocity[axis], duration * config.velocity[axis]);
-            let square = config.linear_beyond * config.linear_beyond;
+        for (axis, weight) in VELOCITY.iter().enumerate().take(2) {
+            let (speed, weight) = (state.velocity[axis], duration * weight);
+            let square = LINEAR_BEYOND * LINEAR_BEYOND;
             let root = (1.0 + speed * speed / square).sqrt();
             to.cost += weight * square * (root - 1.0);
             to.gradient[V + axis] += weight * speed / root;
             to.hessian[(V + axis) * (n + jets + joints + 1)] += weight / root;
         }
-        to.add_single(duration * config.velocity[2], state.velocity.z + world.speed, V + 2);
+        to.add_single(duration * VELOCITY[2], state.velocity.z + world.speed, V + 2);
         // |R e₃ − e₃|² = 2 (1 − cos)
         let up: Vector3<f64> = state.rotation.column(2).into();
         let (turned, away) = (-skew(&up), up - Vector3::z());
@@ -455,7 +464,7 @@ impl Knot {
             for column in 0..3 {
                 row[THETA + column] = turned[(axis, column)];
             }
-            to.add_square(duration * config.lean, away[axis], row);
+            to.add_square(duration * LEAN, away[axis], row);
             for column in 0..3 {
                 row[THETA + column] = self.model.omega_theta[(axis, column)];
                 row[K + column] = self.model.omega_k[(axis, column)];
@@ -464,36 +473,34 @@ impl Knot {
                 row[s + joint] = self.model.omega_s[(axis, joint)];
                 row[n + jets + joint] = self.model.omega_sigma[(axis, joint)];
             }
-            to.add_square(duration * config.angular_velocity, omega[axis], row);
+            to.add_square(duration * ANGULAR_VELOCITY, omega[axis], row);
         }
         for (jet, input) in inputs.iter().enumerate().take(jets) {
-            to.add_single(duration * config.thrust_rate, state.rate[jet], r + jet);
+            to.add_single(duration * THRUST_RATE, state.rate[jet], r + jet);
             to.add_single(duration * ENGINE_INPUT, input - 0.5, n + jet);
             let (least, greatest) = world.now.terms.limits.thrust[jet];
             let excess = state.thrust[jet] - state.thrust[jet].max(least).min(greatest);
             if self.works[jet] && excess != 0.0 {
-                to.add_single(*of_thrust, excess, T + jet);
+                to.add_single(*thrust_excess, excess, T + jet);
             }
         }
         for (place, joint) in self.joints.iter().enumerate() {
             let position = state.joints[place];
-            to.add_single(duration * config.posture, position - world.posture[*joint], s + place);
+            to.add_single(duration * POSTURE, position - world.posture[*joint], s + place);
             let (least, greatest) = world.robot.joints[*joint].limits;
             let excess = position - position.max(least).min(greatest);
             if excess != 0.0 {
-                to.add_single(*of_joint, excess, s + place);
+                to.add_single(JOINT_EXCESS, excess, s + place);
             }
-            to.add_single(duration * config.joint_velocity, inputs[jets + place], n + jets + place);
+            to.add_single(duration * JOINT_VELOCITY, inputs[jets + place], n + jets + place);
         }
-        if config.clearance > 0.0 {
-            self.clearance.update_below(self.least_distance, &self.kinematics, &self.joints);
-            for pair in 0..self.clearance.len() {
-                let short = self.clearance.distance[pair] - self.least_distance;
-                if short < 0.0 {
-                    self.row.fill(0.0);
-                    self.row[s..s + joints].copy_from_slice(self.clearance.by_joint.column(pair).as_slice());
-                    to.add_square(self.config.clearance, short, &self.row);
-                }
+        self.clearance.update_below(clearance::LEAST, &self.kinematics, &self.joints);
+        for pair in 0..self.clearance.len() {
+            let short = self.clearance.distance[pair] - clearance::LEAST;
+            if short < 0.0 {
+                self.row.fill(0.0);
+                self.row[s..s + joints].copy_from_slice(self.clearance.by_joint.column(pair).as_slice());
+                to.add_square(CLEARANCE, short, &self.row);
             }
         }
     }
