@@ -153,18 +153,18 @@ def momentum_cost(law, state, thrust, setpoint, tick, terms, contact, takes_off)
     if of_feet:
         still = np.zeros((of_feet, n))
         still[:, joints] = contact.jacobian[:, 6:]
-        tasks.append((still, contact.jacobian[:, :6] @ nu[:6], law["contact"]["weight_foot_velocity"]))
+        tasks.append((still, contact.jacobian[:, :6] @ nu[:6], 150.0))
         gain = law["contact"]["load_transfer"]["gain"]
         relieved, pressing = (0.0 * thrust, gain * contact.force) if takes_off else (gain * thrust, 0.0 * contact.force)
         tasks.append((unit[feet], pressing, law["contact"]["weight_force_rate"]))
     tasks.append((unit[jets], relieved, next(iter(set(weights["thrust_rate"].values())))))
-    tasks.append((unit, np.zeros(n), weights["regularisation"]))
+    tasks.append((unit, np.zeros(n), 1e-4))
     return sum(w * a.T @ a for a, _, w in tasks), sum(w * a.T @ b for a, b, w in tasks)
 
 
 def torque_cost(law, state, tick, integral, terms, contact):
     """H and g of M76, of the unknowns (f_c, τ), without its constant; an integral of errors is used before it grows."""
-    of_feet, torque, feet = contact.a_c.shape[1], law["torque"], law.get("contact", {})
+    of_feet, torque = contact.a_c.shape[1], law["torque"]
     b = np.hstack([contact.jacobian.T, np.vstack([np.zeros((6, 23)), np.eye(23)])])
     force = terms.jet_generalised + terms.aero_generalised - terms.bias
     rotors = np.diag(np.append(np.zeros(6), np.full(23, torque["rotor_inertia"])))
@@ -172,13 +172,13 @@ def torque_cost(law, state, tick, integral, terms, contact):
     gain, free = acceleration[:, :-1], acceleration[:, -1] + np.append(contact.velocity_product, np.zeros(23))
 
     def weights(of_feet_each, of_joints):
-        return np.append(np.full(of_feet, feet.get(of_feet_each, 0.0)), np.full(23, torque[of_joints]))
+        return np.append(np.full(of_feet, of_feet_each), np.full(23, of_joints))
 
-    weight = weights("weight_foot_acceleration", "weight_acceleration")
-    small = weights("weight_force", "weight_torque") + torque["regularisation"]
+    weight = weights(100.0, torque["weight_acceleration"])
+    small = weights(1.0, 0.001) + 1e-4
     wanted = -torque["kd"] * (state.velocity[6:] - tick.joint_velocity_command) - torque["kp"] * integral
     g = gain.T @ (weight * (free - np.append(np.zeros(of_feet), wanted)))
-    g[:of_feet] -= feet.get("weight_force", 0.0) * contact.force
+    g[:of_feet] -= contact.force
     return gain.T @ (weight[:, None] * gain) + np.diag(small), g
 
 

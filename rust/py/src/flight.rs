@@ -229,9 +229,10 @@ pub fn wind_velocity<'py>(py: Python<'py>, wind_json: &str, times: Input<'py>) -
 #[pyfunction]
 pub fn recorded_wind<'py>(py: Python<'py>, wind_json: &str) -> PyResult<Output<'py>> {
     let wind = from_json(wind_json, "wind").and_then(|config| Wind::new(&config)).map_err(value_error)?;
-    let Wind::Recorded(samples) = wind else {
+    let samples = wind.samples();
+    if samples.is_empty() {
         return Err(PyValueError::new_err("the wind is a function; expected a recorded one"));
-    };
+    }
     let numbers = samples.iter().flat_map(|(time, velocity)| [*time, velocity.x, velocity.y, velocity.z]);
     array(py, &[samples.len(), 4], numbers.collect())
 }

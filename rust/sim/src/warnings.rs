@@ -87,10 +87,8 @@ fn below_ground(config: &ScenarioConfig, robot: &RobotModel) -> Vec<String> {
 
 /// A recorded wind of another time than the flight's, which is flown in its first or last sample.
 fn never_met(config: &ScenarioConfig) -> Result<Option<String>, BuildError> {
-    let Wind::Recorded(samples) = Wind::new(&config.wind)? else { return Ok(None) };
-    let (Some((first, _)), Some((last, _)), end) =
-        (samples.first(), samples.last(), config.simulator.duration)
-    else {
+    let (wind, end) = (Wind::new(&config.wind)?, config.simulator.duration);
+    let (Some((first, _)), Some((last, _))) = (wind.samples().first(), wind.samples().last()) else {
         return Ok(None);
     };
     let what = match &config.wind {

@@ -80,36 +80,12 @@ pub enum WindConfig {
 
 /// A wind profile after its checks.
 #[derive(Debug, Clone)]
-pub enum Wind {
-    /// Velocity times a factor that rises from 0 to 1.
-    Ramp {
-        /// Final velocity \[m/s\].
-        velocity: Vector3<f64>,
-        /// Start and end of the rise \[s\]; equal for a constant wind.
-        ramp: (f64, f64),
-    },
-    /// A ramp with turbulence that rises with it.
-    Turbulent {
-        /// Final mean velocity \[m/s\].
-        velocity: Vector3<f64>,
-        /// Start and end of the rise \[s\].
-        ramp: (f64, f64),
-        /// Turbulence at full rise.
-        turbulence: Box<Turbulence>,
-    },
-    /// Steady wind with one gust.
-    Gust {
-        /// Steady velocity \[m/s\].
-        velocity: Vector3<f64>,
-        /// Added velocity at the peak \[m/s\].
-        gust: Vector3<f64>,
-        /// Start \[s\].
-        start: f64,
-        /// Duration \[s\].
-        duration: f64,
-    },
+pub struct Wind {
+    profile: WindConfig,
+    /// Turbulence at full rise.
+    turbulence: Option<Box<Turbulence>>,
     /// Recorded samples `(time, velocity)` in order of time.
-    Recorded(Vec<(f64, Vector3<f64>)>),
+    samples: Vec<(f64, Vector3<f64>)>,
 }
 
 impl Wind {
@@ -127,60 +103,59 @@ impl Wind {
     /// As [`Wind::new`].
     pub fn from_table(config: &WindConfig, table: &str) -> Result<Self, BuildError> {
         flight_core::schema::check(config, table)?;
-        let ramp = |start, end| {
-            let expected = format!("a time ≥ ramp_start ({start})");
-            Ok((start, check(&format!("{table}.ramp_end"), end, |end| end >= start, &expected)?))
-        };
-        Ok(match config {
-            WindConfig::Constant { velocity } => {
-                Self::Ramp { velocity: Vector3::from(*velocity), ramp: (f64::MIN, f64::MIN) }
+        let mut wind = Self { profile: config.clone(), turbulence: None, samples: Vec::new() };
+        match config {
+            WindConfig::Constant { .. } | WindConfig::Gust { .. } => {}
+            WindConfig::Ramp { ramp_start, ramp_end, .. }
+            | WindConfig::Turbulent { ramp_start, ramp_end, .. } => {
+                let expected = format!("a time ≥ ramp_start ({ramp_start})");
+                check(&format!("{table}.ramp_end"), *ramp_end, |end| end >= *ramp_start, &expected)?;
             }
-            WindConfig::Ramp { velocity, ramp_start, ramp_end } => {
-                Self::Ramp { velocity: Vector3::from(*velocity), ramp: ramp(*ramp_start, *ramp_end)? }
-            }
-            WindConfig::Turbulent { velocity, ramp_start, ramp_end, std, time_scale, seed } => {
-                Self::Turbulent {
-                    velocity: Vector3::from(*velocity),
-                    ramp: ramp(*ramp_start, *ramp_end)?,
-                    turbulence: Box::new(Turbulence::new(&Vector3::from(*std), *time_scale, *seed)),
-                }
-            }
-            WindConfig::Gust { velocity, gust, start, duration } => Self::Gust {
-                velocity: Vector3::from(*velocity),
-                gust: Vector3::from(*gust),
-                start: *start,
-                duration: *duration,
-            },
-            WindConfig::File { path } => Self::Recorded(read_samples(path)?),
+            WindConfig::File { path } => wind.samples = read_samples(path)?,
             WindConfig::Samples { samples } => {
                 let item = format!("{table}.samples");
-                Self::Recorded(check_order(samples, &item, |index| format!("{item}[{index}]"))?)
+                wind.samples = check_order(samples, &item, |index| format!("{item}[{index}]"))?;
             }
-        })
+        }
+        if let WindConfig::Turbulent { std, time_scale, seed, .. } = config {
+            wind.turbulence = Some(Turbulence::new(&Vector3::from(*std), *time_scale, *seed).into());
+        }
+        Ok(wind)
+    }
+
+    /// Samples `(time, velocity)` of a recorded wind \[s, m/s\]; empty of any other.
+    #[must_use]
+    pub fn samples(&self) -> &[(f64, Vector3<f64>)] {
+        &self.samples
     }
 
     /// Velocity of the air at `time` \[s\], in m/s, inertial axes.
     #[must_use]
     pub fn velocity(&self, time: f64) -> Vector3<f64> {
-        match self {
-            Self::Ramp { velocity, ramp } => velocity * ramp_fraction(ramp, time),
-            Self::Turbulent { velocity, ramp, turbulence } => {
-                (velocity + turbulence.velocity(time)) * ramp_fraction(ramp, time)
+        let vector = |velocity: &[f64; 3]| Vector3::from(*velocity);
+        match &self.profile {
+            WindConfig::Constant { velocity } => vector(velocity),
+            WindConfig::Ramp { velocity, ramp_start, ramp_end } => {
+                vector(velocity) * ramp_fraction(*ramp_start, *ramp_end, time)
             }
-            Self::Gust { velocity, gust, start, duration } => {
+            WindConfig::Turbulent { velocity, ramp_start, ramp_end, .. } => {
+                let turbulence = self.turbulence.as_ref().map_or_else(Vector3::zeros, |of| of.velocity(time));
+                (vector(velocity) + turbulence) * ramp_fraction(*ramp_start, *ramp_end, time)
+            }
+            WindConfig::Gust { velocity, gust, start, duration } => {
                 let phase = (time - start) / duration;
                 let strength =
                     if (0.0..=1.0).contains(&phase) { 0.5 * (1.0 - libm::cos(TAU * phase)) } else { 0.0 };
-                velocity + gust * strength
+                vector(velocity) + vector(gust) * strength
             }
-            Self::Recorded(samples) => interpolate(samples, time),
+            WindConfig::File { .. } | WindConfig::Samples { .. } => interpolate(&self.samples, time),
         }
     }
 }
 
 /// Fraction of a rise at `time`, from 0 to 1.
-fn ramp_fraction((start, end): &(f64, f64), time: f64) -> f64 {
-    if time >= *end { 1.0 } else { ((time - start) / (end - start)).max(0.0) }
+fn ramp_fraction(start: f64, end: f64, time: f64) -> f64 {
+    if time >= end { 1.0 } else { ((time - start) / (end - start)).max(0.0) }
 }
 
 /// Checks that samples are in order of time; errors name `item` and the sample's `place`.
