@@ -25,7 +25,7 @@ struct Wave {
 /// Every wave has the same part of the variance, at a random frequency within its band and with a
 /// random phase. Source: ours; the longitudinal Dryden spectrum has this form.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Turbulence {
+pub(crate) struct Turbulence {
     amplitude: Vector3<f64>,
     waves: [[Wave; WAVES]; 3],
 }
@@ -33,7 +33,7 @@ pub struct Turbulence {
 impl Turbulence {
     /// Turbulence with a standard deviation for each axis \[m/s\] and a time scale τ \[s\].
     #[must_use]
-    pub fn new(std: &Vector3<f64>, time_scale: f64, seed: u64) -> Self {
+    pub(crate) fn new(std: &Vector3<f64>, time_scale: f64, seed: u64) -> Self {
         let mut noise = Noise::new(seed, 2);
         let mut wave = |band: usize| {
             // Not up to the edge of the band, because the last band has no upper edge.
@@ -51,7 +51,7 @@ impl Turbulence {
 
     /// Velocity to be added to the mean wind at `time` \[s\], in m/s, inertial axes.
     #[must_use]
-    pub fn velocity(&self, time: f64) -> Vector3<f64> {
+    pub(crate) fn velocity(&self, time: f64) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| {
             let sum: f64 =
                 self.waves[axis].iter().map(|wave| libm::sin(wave.frequency * time + wave.phase)).sum();
