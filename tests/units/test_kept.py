@@ -148,7 +148,7 @@ def test_what_is_kept_is_read_again(tmp_path, monkeypatch):
 
 def test_a_kept_verdict_is_that_of_its_rows_by_the_present_claims_of_the_present_sweep(monkeypatch):
     """The judge, a bound or a configuration that changes changes it: nothing of it is kept."""
-    document = kept.read("robot_landing")
+    document = kept.read("robot_mission_loss")
     assert {one.verdict.kind for one in document.claims.values()} <= {Kind.AGREES, Kind.DIFFERS, Kind.IN_PART}
     place = {name: document.columns.index(name) for name in ("completed", "landed", "lost", "flights")}
     rows = [[*row] for row in document.rows]
@@ -161,7 +161,7 @@ def test_a_kept_verdict_is_that_of_its_rows_by_the_present_claims_of_the_present
     assert {one.verdict.kind for one in other.claims.values()} == {Kind.OUTDATED}
     strict = {key: replace_most(one, 0.0) for key, one in document.stated.items()}
     monkeypatch.setattr(kept.paper, "stated", lambda _: tuple(strict.values()))
-    assert document.claims["landing_arm"].verdict.kind is Kind.DIFFERS
+    assert document.claims["mission_loss"].verdict.kind is Kind.DIFFERS
 
 
 def replace_most(claim, at_most):
