@@ -327,8 +327,9 @@ impl Contact {
         }
     }
 
-    /// Restarts `f_c*`. Without load transfer: measured vertical force and moment about y of each foot, as published. With load transfer: equal parts of the vertical force that jets and aerodynamic forces leave (M112),
-    /// because a measured wrench would be that of the impact.
+    /// Restarts `f_c*`. Without load transfer: measured vertical force and moment about y of each foot, as published. With
+    /// load transfer: equal parts of the vertical force that jets and aerodynamic forces leave (M112), because a measured
+    /// wrench would be that of the impact.
     fn restart(&self, state: &mut ContactState, measured: &DVector<f64>, left: f64) {
         state.force.fill(0.0);
         if !state.is_active {
