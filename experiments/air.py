@@ -72,8 +72,8 @@ def _compute(given: argparse.Namespace) -> None:
     alphas, betas = angles("--alpha", given.alpha), angles("--beta", given.beta)
     if min(len(alphas), len(betas)) > 1:
         raise ValueError("--alpha and --beta are both ranges; expected one range")
-    if not 0.0 < given.speed <= LARGEST:
-        raise ValueError(f"--speed is {given.speed}; expected a number > 0, at most {LARGEST:g}")
+    if not 0.0 < given.wind <= LARGEST:
+        raise ValueError(f"--wind is {given.wind}; expected a number > 0, at most {LARGEST:g}")
     robot = load_robot(places.find("robot", given.robot))
     given.model = given.model or [air.default_model(robot)]
     given.posture = given.posture or ("hovering" if set(JOINTS) <= set(robot.joint_names) else ZERO)
@@ -82,15 +82,15 @@ def _compute(given: argparse.Namespace) -> None:
     with jax.enable_x64(True):
         models = {name: air.settings(name) for name in given.model}
         found = {
-            name: loads(robot, aero_model(model, robot), joints, alphas, betas, given.speed)
+            name: loads(robot, aero_model(model, robot), joints, alphas, betas, given.wind)
             for name, model in models.items()
         }
     # Without aerodynamics there is no density, and every area is zero.
-    pressures = [0.5 * getattr(model, "air_density", 1.0) * given.speed**2 for model in models.values()]
+    pressures = [0.5 * getattr(model, "air_density", 1.0) * given.wind**2 for model in models.values()]
     rows = list(_rows(robot, found, alphas, betas, pressures))
     print(_listing(rows))
     stems = "_".join(Path(name).stem for name in given.model)
-    wind = f"alpha={given.alpha}--beta={given.beta}--speed={given.speed:g}".replace(":", "_")
+    wind = f"alpha={given.alpha}--beta={given.beta}--wind={given.wind:g}".replace(":", "_")
     name = given.named or f"{robot.name}--{stems}--{given.posture}--{wind}"
     out = given.out or places.RESULTS / "air"
     with complete_file(out / f"{name}.csv") as draft, draft.open("w", newline="", encoding="utf-8") as file:
@@ -112,7 +112,7 @@ def _parser() -> Parser:
     )
     parser.add_argument("--alpha", default="90", metavar="DEG", help="angle or FROM:TO:STEP (default 90)")
     parser.add_argument("--beta", default="0", metavar="DEG", help="angle or FROM:TO:STEP (default 0)")
-    parser.add_argument("--speed", type=float, default=10.0, metavar="M/S", help="wind speed (default 10)")
+    parser.add_argument("--wind", type=float, default=10.0, metavar="M/S", help="its speed (default 10)")
     models = parser.add_argument(
         "--model",
         nargs="+",
@@ -270,5 +270,5 @@ def _draw(
     if robot.aero_links.names:
         grid[1, 2].legend(fontsize=5, ncols=2)
     beside = f"; crosses: {', '.join(name for name, _ in tables)}" if tables else ""
-    figure.suptitle(f"{robot.name}, {given.posture}, {given.speed:g} m/s{beside}", fontsize=10)
+    figure.suptitle(f"{robot.name}, {given.posture}, {given.wind:g} m/s{beside}", fontsize=10)
     return figure

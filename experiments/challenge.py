@@ -49,7 +49,7 @@ def main(arguments: Sequence[str]) -> int:
         name = given.named or places.file_name(stem)
         if any(name in kept.read(sweep).axes[0].levels for sweep in TASKS.values()):
             raise Refused(f"--name is {name}, that of a shipped controller; expected another")
-        levels = {robot: level_of(given.controller, name, robot, given.tick) for robot in given.robot or TASKS}
+        levels = {robot: level_of(given.controller, name, robot, given.tick) for robot in given.tasks or TASKS}
         if not any(levels.values()):
             raise Refused(f"{given.controller} is no controller of {', '.join(levels)}; that of Mk3 is mk3_NAME")
         flown = {
@@ -173,7 +173,7 @@ def _time(config: rust.Config) -> list[float]:
 def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("challenge", __doc__)
     parser.add_argument("controller", metavar="CONTROLLER", help="FILE.py:NAME, or a configuration of a controller")
-    parser.add_argument("--robot", action="append", choices=list(TASKS), help="tasks of this robot alone")
+    parser.add_argument("--tasks", action="append", choices=list(TASKS), help="tasks of this robot alone")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of other tasks, reported beside the published ones")
     parser.add_argument("--tick", type=float, metavar="S", help="period of the controller [s] (default 0.01)")
     parser.add_argument("--workers", type=cli.count, metavar="N", help="threads (default: one per core)")

@@ -95,7 +95,7 @@ SIGNS = str.maketrans(
 """Signs that fonts of LaTeX lack, in text or in mathematics."""
 
 FORMATS: Mapping[str, Callable[[Rows], str]] = {"text": text_table, "csv": csv_table, "latex": latex_table}
-"""Formats of a printed table, as `--table` names them."""
+"""Formats of a printed table, as `--format` names them."""
 
 
 def outcome_row(manifest: Mapping[str, Any]) -> Sequence[str]:

@@ -38,11 +38,11 @@ def main(arguments: Sequence[str]) -> int:
     def work() -> None:
         ray = cluster.Ray.from_options(given)
         for design in [Design(spec.load(name), study.find("sweeps", name)) for name in names]:
-            notes = sys.stderr if given.table else sys.stdout
+            notes = sys.stderr if given.format else sys.stdout
             with redirect_stdout(notes):
                 folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
-            if given.paired or given.table or len(design.cells) <= MOST_CELLS:
-                print(FORMATS[given.table or "text"](_rows(folder, design, given.paired)))
+            if given.paired or given.format or len(design.cells) <= MOST_CELLS:
+                print(FORMATS[given.format or "text"](_rows(folder, design, given.paired)))
             flown = f"{design.n_rows} flights in {len(design.cells)} cells"
             print(f"{design.spec.name}: {flown}, {os.path.relpath(folder)}", file=notes)
 
@@ -64,7 +64,7 @@ def _parser() -> Parser:
         "--overwrite", action="store_true", help="start from the beginning, and replace an existing result"
     )
     parser.add_argument(
-        "--table", choices=sorted(FORMATS), help="print the table alone, in this format (default: text)"
+        "--format", choices=sorted(FORMATS), help="print the table alone, in this format (default: text)"
     )
     parser.add_argument(
         "--paired", metavar="AXIS", help="print the differences of an axis' levels to the first one, on the same draws"

@@ -18,9 +18,9 @@ from tests.measurements import measured
 
 
 def test_the_files_hold_every_link_and_their_sum(tmp_path, capsys):
-    arguments = ["air", "--alpha", "30:90:30", "--speed", "8", "--beside", "cfd_tunnel", "--posture", "flight30"]
+    arguments = ["air", "--alpha", "30:90:30", "--wind", "8", "--beside", "cfd_tunnel", "--posture", "flight30"]
     assert cli.main([*arguments, "--out", str(tmp_path)]) == 0
-    written = tmp_path / "iRonCub-Mk1--axisymmetric_corrected--flight30--alpha=30_90_30--beta=0--speed=8.csv"
+    written = tmp_path / "iRonCub-Mk1--axisymmetric_corrected--flight30--alpha=30_90_30--beta=0--wind=8.csv"
     with written.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert {path.suffix for path in tmp_path.iterdir()} == {".csv", ".png"}
@@ -76,7 +76,7 @@ def test_a_robot_without_coefficients_and_named_postures_has_defaults(tmp_path, 
     monkeypatch.setattr(command, "loads", lambda *_: command.Loads(*made_up))
     monkeypatch.setattr(command, "aero_model", lambda *_: None)
     assert cli.main(["air", "--robot", "sparrow", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "sparrow--sphere_cylinder--zero--alpha=90--beta=0--speed=10.csv").is_file()
+    assert (tmp_path / "sparrow--sphere_cylinder--zero--alpha=90--beta=0--wind=10.csv").is_file()
 
 
 def test_angles_are_numbers_or_ranges():
@@ -95,8 +95,8 @@ def test_angles_are_numbers_or_ranges():
         (["--model", "axisymetric_corrected"], "did you mean axisymmetric_corrected"),
         (["--robot", "sparrow", "--posture", "hovering"], "expected --posture zero"),
         (["--robot", "sparrow", "--model", "axisymmetric_signed"], "coefficients is `signed`; sparrow has estimated"),
-        (["--speed", "0"], "expected a number > 0, at most 1e+09"),
-        (["--speed", "1e300"], "expected a number > 0, at most 1e+09"),
+        (["--wind", "0"], "expected a number > 0, at most 1e+09"),
+        (["--wind", "1e300"], "expected a number > 0, at most 1e+09"),
         (["--alpha", "0:20:10", "--beside", "wind_tunnel"], "holds nothing of posture"),
     ],
 )
