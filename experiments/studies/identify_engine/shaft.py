@@ -80,7 +80,7 @@ class Run(NamedTuple):
 
     @property
     def has_wanted(self) -> bool:
-        """Return whether the speed that the control unit wants is known."""
+        """Return whether the speed that the control unit demands is known."""
         return bool(np.isfinite(self.wanted).any())
 
     @property

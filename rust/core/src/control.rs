@@ -9,7 +9,7 @@
 //! predict     what the command lets expect, for the next tick                          acting, estimate
 //! ```
 //!
-//! The stages are the files of [`tick`]; what they call stands in the folders on the right, and knows nothing of the tick.
+//! The stages are the files of [`tick`]; what they call stands in the folders on the right, and does not depend on it.
 //!
 //! [`Controller::tick`] follows this order. Each step fills one plain struct that the next reads; after a tick
 //! [`Controller::terms`] gives access to all of them.

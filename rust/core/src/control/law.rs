@@ -1,4 +1,4 @@
-//! The equations of the control law: each file is a kernel that knows nothing of the tick.
+//! The equations of the control law: each file is a kernel that does not depend on the tick.
 
 pub mod attitude;
 pub mod bounds;
