@@ -445,6 +445,7 @@ def test_jax_refuses_feet_by_name():
 
     config = standing(backend="mujoco")
     for section, key in [
+        ("disturbances", "controller_wind"),
         ("simulator", "ground"),
         ("simulator", "motors"),
         ("controller", "contact"),

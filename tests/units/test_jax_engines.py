@@ -20,7 +20,7 @@ STEP = 0.01
 def test_thrusts_end_at_the_least_of_running_engines():
     """Those of ideal and of identified engines; a prediction leaves an engine that has stopped where it is."""
     least, start = jnp.array([40.0, 50.0]), jnp.array([42.0, 51.0])
-    model = jets.SecondOrderJets(MODELS, least, jnp.eye(2), jnp.array(1.0), False)
+    model = jets.SecondOrderJets(MODELS, least, False)
     for dynamics in (jets.IdealJets(least), model):
         now, lowest = dynamics.start(start), start
         for _ in range(100):
