@@ -17,7 +17,7 @@ import jax
 
 
 def _processor() -> str:
-    """Return what tells processors apart, for which XLA compiles: a program of another one may not run on this."""
+    """Return what distinguishes processors, for which XLA compiles: a program of another one may not run on this."""
     cpu = Path("/proc/cpuinfo")
     lines = cpu.read_text(encoding="utf-8", errors="replace").splitlines() if cpu.is_file() else []
     features = next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())

@@ -127,7 +127,7 @@ class Studio(Scene):
         return np.ascontiguousarray(pixels[::-1])
 
     def _add(self, solid: Solid, specular: float = 0.5) -> None:
-        """Add a solid to the scene, as long as there is room; MuJoCo keeps meshes in their principal axes."""
+        """Add a solid to the scene, while the scene has free places; MuJoCo keeps meshes in their principal axes."""
         scene, own = self._scene, self.model.mesh(str(id(solid.mesh))).id
         if scene.ngeom >= scene.maxgeom:
             return

@@ -40,7 +40,7 @@ terms."""
 
 
 class Digests(NamedTuple):
-    """What tells whether numbers have changed."""
+    """Digests that change with the numbers."""
 
     numerics: Mapping[str, int]
     """Versions of the numbers of all flights (`experiments.identity`)."""

@@ -1,7 +1,7 @@
 """Compute the stored flights again that have changed: `python -m tests.golden.make [NAME ...]`.
 
-Other numbers of the same configuration are refused under the stored version of the numbers, by which results are told
-apart: `flight_sim::NUMERICS` of the crate, `jax_aero/base/numerics.py` of what is computed in Python.
+Other numbers of the same configuration are refused under the stored version of the numbers, by which results are
+distinguished: `flight_sim::NUMERICS` of the crate, `jax_aero/base/numerics.py` of what is computed in Python.
 
 A row is stored if last bits do not decide it: flights from initial states 1e-13 apart, and the same flight with other
 variants of the mathematical library, agree there to a tenth of the tolerance of the test, in parts of each signal's

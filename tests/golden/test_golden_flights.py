@@ -1,7 +1,7 @@
 """Flights are those that are stored: every signal to 1e-9 of its range, as far as last bits do not decide.
 
 Those of the crate have the stored bits too. Where they do not, its version of the numbers is to be raised, by which
-results of other numbers are told apart (`make.py`). `tests/golden/README.md` says where the stored flights come from.
+results of other numbers are distinguished (`make.py`). `tests/golden/README.md` has the source of the stored flights.
 """
 
 import pytest

@@ -109,7 +109,7 @@ def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
 
 
 def about(name: str) -> dict[str, Any]:
-    """What the simulator tells the page about an experiment."""
+    """What the page reads of an experiment from the simulator."""
     config = rust.resolve_config(rust.load_config(name))
     return {"config": config, "jets": rust.Robot(config["robot"]).jet_names}
 

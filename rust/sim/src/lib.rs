@@ -35,7 +35,7 @@ mod warnings;
 mod wind;
 mod world;
 
-/// Version of the numbers that flights have, by which results of other numbers are told apart. It is raised where a
+/// Version of the numbers that flights have, by which results of other numbers are distinguished. It is raised where a
 /// flight changes a bit: `tests/golden` refuses a change without it.
 pub const NUMERICS: u32 = 1;
 

@@ -83,7 +83,7 @@ impl EngineModel {
     }
 
     /// Derivatives of the thrust acceleration by thrust \[1/s²\] and thrust rate \[1/s\], about the steady state at a thrust;
-    /// `thrust_rate` tells whether it rises or falls.
+    /// the sign of `thrust_rate` is whether it rises or falls.
     #[must_use]
     pub fn steady_slopes(&self, thrust: f64, thrust_rate: f64) -> (f64, f64) {
         match self {

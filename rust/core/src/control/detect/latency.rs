@@ -44,15 +44,15 @@ struct Filter {
     lags: usize,
     lag: f64,
     /// `σ`: what a model and a sensor leave unexplained at best \[rad, m; N\].
-    floor: f64,
+    least_deviation: f64,
     /// Greatest standard deviation of a known delay \[s\].
     deviation_max: f64,
 }
 
 /// Positions: three lags, as of an observer with three poles. Encoders have steps of a milliradian.
-const TORQUE: Filter = Filter { lags: 3, lag: 0.025, floor: 1e-4, deviation_max: 6e-4 };
+const TORQUE: Filter = Filter { lags: 3, lag: 0.025, least_deviation: 1e-4, deviation_max: 6e-4 };
 /// Thrusts, with a noise of a newton.
-const THRUST: Filter = Filter { lags: 1, lag: 0.3, floor: 0.1, deviation_max: 4e-3 };
+const THRUST: Filter = Filter { lags: 1, lag: 0.3, least_deviation: 0.1, deviation_max: 4e-3 };
 
 /// When commands count as late.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -178,7 +178,7 @@ impl Bank {
 
     /// `L` of a delay, with the weights of another one.
     fn sum(&self, square: &DMatrix<f64>, weights: usize, delay: usize) -> f64 {
-        let variance = self.kind.floor * self.kind.floor;
+        let variance = self.kind.least_deviation * self.kind.least_deviation;
         (0..square.nrows()).map(|entry| square[(entry, delay)] / (square[(entry, weights)] + variance)).sum()
     }
 
