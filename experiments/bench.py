@@ -17,8 +17,6 @@ import platform
 import shutil
 import subprocess
 import sys
-import tarfile
-import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +43,7 @@ CASES_OF_PLANS = ("calm", "turbulence", "engine lost")
 QPS = (*QPS_OF_TICK, *(f"plan QP, {case}" for case in CASES_OF_PLANS))
 PLANS = tuple(f"plan, {case}" for case in CASES_OF_PLANS)
 """Whole problems of plans: with soft rows, of which a plan QP contains those that are exceeded."""
+PIP_LIMIT = 300.0  # s for which pip may fetch a package
 EIGEN = "cmeel-eigen==3.4.1"  # headers that Pinocchio was compiled with, not in its wheel
 # Definitions required by Pinocchio's configuration.
 PINOCCHIO_DEFINES = (
@@ -235,7 +234,7 @@ def _compile_pinocchio(*, native: bool) -> list[str]:
 
 def _compile_daqp(*, native: bool) -> list[str]:
     version = importlib.metadata.version("daqp")
-    source = _fetch(f"daqp=={version}", "*.tar.gz", "--no-binary=:all:") / f"daqp-{version}" / "csrc"
+    source = _fetch(f"daqp=={version}", "*.tar.gz", "--no-binary=daqp") / f"daqp-{version}" / "csrc"
     # Flags of DAQP's own package, without its timer.
     flags = ["-O3", "-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]
     flags += ["-march=native"] if native else []
@@ -258,24 +257,25 @@ def _fetch(requirement: str, pattern: str, *options: str) -> Path:
         download = FOLDER / "download"
         shutil.rmtree(download, ignore_errors=True)
         pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", *options]
-        run([*pip, "--dest", str(download), requirement])
+        run([*pip, "--dest", str(download), requirement], limit=PIP_LIMIT)
         archive = next(download.glob(pattern))
         unpacked = download / "unpacked"
         if archive.suffix == ".whl":
-            zipfile.ZipFile(archive).extractall(unpacked)
+            shutil.unpack_archive(archive, unpacked, "zip")
         else:
-            with tarfile.open(archive) as package:
-                package.extractall(unpacked, filter="data")
+            shutil.unpack_archive(archive, unpacked, filter="data")
         unpacked.rename(folder)
     return folder
 
 
-def run(command: Sequence[str]) -> str:
-    """Run a program and return its output, or refuse with its error message."""
+def run(command: Sequence[str], *, limit: float | None = None) -> str:
+    """Run a program for at most `limit` [s] and return its output, or refuse with its error message."""
     try:
-        done = subprocess.run(command, cwd=places.HOME, capture_output=True, text=True, check=True)
+        done = subprocess.run(command, cwd=places.HOME, capture_output=True, text=True, check=True, timeout=limit)
     except FileNotFoundError:
         raise Refused(f"`{command[0]}` is not installed") from None
+    except subprocess.TimeoutExpired:
+        raise Refused(f"`{' '.join(command)}` did not end within {limit:g} s") from None
     except subprocess.CalledProcessError as error:
         last = [line for line in error.stderr.splitlines() if line.strip()][-3:]
         raise Refused(f"`{Path(command[0]).name}` failed: {' / '.join(last)}") from None

@@ -49,6 +49,12 @@ def _corners(solid: Solid) -> Vector:
     return solid.mesh.vertices @ solid.stretch.T + solid.position
 
 
+def _polygons(places: Vector, faces: NDArray[np.int_]) -> list[list[float]]:
+    """Return the corners of faces in turn, as Pillow wants them."""
+    corners: list[list[float]] = places[faces].reshape(len(faces), 2 * faces.shape[1]).tolist()
+    return corners
+
+
 class _Canvas:
     """A picture with sky and ground, seen from a camera."""
 
@@ -76,17 +82,18 @@ class _Canvas:
         """Paint a solid's shadow on the ground."""
         places, depths = self._project(_corners(shadow_of(solid)))
         if depths.min() > NEAREST:
-            for face in places[solid.mesh.faces]:
-                self._draw.polygon([tuple(place) for place in face], fill=SHADOW)
+            for face in _polygons(places, solid.mesh.faces):
+                self._draw.polygon(face, fill=SHADOW)
 
     def line(self, points: Vector, colour: Colour, width: float) -> None:
-        """Paint a line through points, (n, 3) [m], of a width [m] at the distance of each segment."""
+        """Paint lines through points, (..., n, 3) [m], of a width [m] at the distance of each segment."""
         places, depths = self._project(points)
-        for start in range(len(points) - 1):
-            depth = depths[start : start + 2].min()
-            if depth > NEAREST:
-                pixels = max(round(width * self._focus / depth), 1)
-                self._draw.line([tuple(place) for place in places[start : start + 2]], fill=colour, width=pixels)
+        depth = np.minimum(depths[..., :-1], depths[..., 1:])
+        is_ahead = depth > NEAREST
+        pixels = np.maximum(np.round(width * self._focus / depth[is_ahead]), 1).astype(int)
+        segments = np.concatenate([places[..., :-1, :], places[..., 1:, :]], axis=-1)[is_ahead]
+        for segment, thickness in zip(segments.tolist(), pixels.tolist(), strict=True):
+            self._draw.line(segment, fill=colour, width=thickness)
 
     def paint(self, solids: list[Solid]) -> None:
         """Paint the faces that are turned to the camera, the farthest first."""
@@ -107,27 +114,27 @@ class _Canvas:
         head_on = np.abs(normals @ self._axes[2])
         shade = np.minimum(0.5 + 0.35 * np.maximum(normals @ light, 0.0) + 0.25 * head_on, 1.0)
         distance = np.linalg.norm(corners.mean(axis=1) - self._eye, axis=1)
-        for face in np.argsort(-distance):
-            if is_seen[face]:
-                solid = solids[owner[face]]
-                fill = (*(int(part * shade[face]) for part in solid.colour), int(255 * solid.opacity))
-                self._draw.polygon([tuple(place) for place in places[faces[face]]], fill=fill)
+        order = np.argsort(-distance)
+        order = order[is_seen[order]]
+        colours = np.array([solid.colour for solid in solids])[owner[order]] * shade[order, None]
+        opacities = 255 * np.array([solid.opacity for solid in solids])[owner[order]]
+        fills = np.column_stack([colours, opacities]).astype(int).tolist()
+        for face, fill in zip(_polygons(places, faces[order]), fills, strict=True):
+            self._draw.polygon(face, fill=tuple(fill))
 
     def _project(self, points: Vector) -> tuple[Vector, Vector]:
-        """Return pixels (n, 2), and depths in front of the camera [m]."""
+        """Return pixels (..., 2), and depths (...) in front of the camera [m], of points (..., 3) [m]."""
         seen = (points - self._eye) @ self._axes.T
-        depths = seen[:, 2]
+        depths = seen[..., 2]
         scale = self._focus / np.where(depths > NEAREST, depths, NEAREST)
-        return 0.5 * np.array(self.size) + seen[:, :2] * scale[:, None], depths
+        return 0.5 * np.array(self.size) + seen[..., :2] * scale[..., None], depths
 
     def _ground(self, look_at: Vector) -> None:
         """Paint the lines of the ground below the point looked at."""
         for spacing, reach in LINES:
             middle = spacing * np.round(look_at[:2] / spacing)
             stations = np.arange(-reach, reach + 0.5 * spacing, spacing)
-            for along in (0, 1):
-                for station in stations:
-                    line = np.zeros((len(stations), 3))
-                    line[:, along] = middle[along] + stations
-                    line[:, 1 - along] = middle[1 - along] + station
-                    self.line(line, GROUND[1], 0.01)
+            grid = np.zeros((len(stations), len(stations), 3))
+            grid[..., 0], grid[..., 1] = np.meshgrid(middle[0] + stations, middle[1] + stations)
+            for lines in (grid, grid.swapaxes(0, 1)):
+                self.line(lines, GROUND[1], 0.01)

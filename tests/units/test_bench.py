@@ -110,6 +110,8 @@ def test_a_program_that_fails_is_refused_with_its_last_words():
         bench.run([sys.executable, "-c", 'raise SystemExit("so it ends")'])
     with pytest.raises(Refused, match="`no-such-compiler` is not installed"):
         bench.run(["no-such-compiler"])
+    with pytest.raises(Refused, match=r"did not end within 0.1 s"):
+        bench.run(["sleep", "9"], limit=0.1)
 
 
 @pytest.mark.parametrize("words", [["bench", "--turns", "0"], ["bench_jax", "--batch", "0"]])
