@@ -16,7 +16,7 @@ ASKED = height_lost.HeightLost(intervals=4)
 
 @pytest.fixture(scope="module")
 def fall():
-    return height_lost.Fall(ASKED, rust.load_config("robot"), "chest_l_jet")
+    return height_lost.Fall(ASKED, rust.load_config("robot"), ASKED.time, "chest_l_jet")
 
 
 def test_an_engine_is_that_of_the_twin_and_scales_in_time_and_thrust(agree):
@@ -53,3 +53,23 @@ def test_strong_and_fast_engines_lose_no_height_and_gain_none(fall):
     _, found = fall.solve(1.0, 1.0)
     landing, _ = fall.solve(0.1, 2.0, found)
     assert 0.0 <= landing.height < 0.1
+
+
+def test_a_touchdown_is_on_the_ground_and_within_what_the_flight_reaches():
+    """From 1 m without any thrust it is 4.4 m/s."""
+    flight, time = height_lost.losses_of(ASKED, rust.load_config("robot"))["hover at 1 m"]
+    fall = height_lost.Fall(ASKED, flight, time, "chest_l_jet")
+    assert fall.height - fall.ground == pytest.approx(1.0, abs=0.05)
+    found = fall.touch_down()
+    assert 1.0 < found.downwards < 3.0
+    assert found.sideways < 1.0
+    assert found.lean <= found.steepest < 60.0
+    assert 0.6 < found.duration < 2.0
+
+
+def test_a_flown_touchdown_is_that_of_the_flight():
+    flight, time = height_lost.losses_of(ASKED, rust.load_config("robot"))["hover at 1 m"]
+    found = height_lost.touched(flight, "chest_l_jet", time)
+    assert 1.5 < found.downwards < np.sqrt(2 * 9.81)
+    assert found.duration < 2.0
+    assert 0.0 < found.lean <= found.steepest

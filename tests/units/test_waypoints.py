@@ -12,7 +12,7 @@ from jax_aero.base import places, tables
 from tests.measurements import measured
 
 EAST = np.array([1.0, 0.0, 0.0])
-WAYS = {"leaning_11": 11.0, "leaning_8": 8.0}  # s
+WAYS = {"leaning_11": 11.0, "leaning_8": 8.0, "quick_climb": 13.0}  # s
 
 
 def points(*steps, **more):

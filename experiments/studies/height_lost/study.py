@@ -1,14 +1,17 @@
-"""Least height that a hovering robot loses after one of its engines stops, by optimal control, beside flights.
+"""Least height that a robot loses after one of its engines stops, and its gentlest touchdown, beside flights.
 
 `jax-aero study height_lost` begins with the state of a robot's flight when an engine stops. For a while nothing reacts.
-Then the throttles of the others (M32) and joints of limited velocity are free, in the centroidal dynamics. The fall
-ends in a state in which the robot may touch down and go on: slow and level, without turning, moments balanced, and no
-longer falling faster. Each is a local optimum, and a flight may touch down before it is at rest. Engines that are
-faster or stronger show what either is worth. The result goes to `results/height_lost/hover/`.
+Then the throttles of the others (M32) and joints of limited velocity are free, in the centroidal dynamics. A fall from
+hover that loses the least height ends in a state in which the robot may touch down and go on: slow and level, without
+turning, moments balanced, and no longer falling faster. Engines that are faster or stronger show what either is worth.
+The gentlest touchdown is on ground where the flight began, from low hovers and on the way of the mission. Each is a
+local optimum. The results go to `results/height_lost/hover/` and `touchdown/`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cached_property
 from itertools import product
 from typing import Annotated, Any, NamedTuple
 
@@ -19,6 +22,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from experiments import Refused
 from experiments.robot.groups import joints_of
 from experiments.study import Findings, Study
 from jax_aero import rust
@@ -35,12 +39,16 @@ EFFORT = 1e-3
 """Weight of squared joint velocities, relative to their limit, over time [m/s]: it selects one of equal falls. Ours."""
 ABOVE = 30.0
 """Height that is added to the flights [m]."""
+START, SETTLING = 10.0, 3.0
+"""When a climb to a hover begins, after the wind's rise, and the time after it until an engine stops [s]."""
 GROUPS = ("torso", "left_arm", "right_arm")
 """Joint groups that move."""
 JOINT_VELOCITY_MAX = np.radians(150.0)
 """As in the recommended controller's descent [rad/s]."""
 DOWNWARDS_MAX, SIDEWAYS_MAX, LEAN_MAX = 1.5, 1.0, np.radians(30.0)
 """Limits of a landing, as in the simulator [m/s, m/s, rad]."""
+LONGEST = 12.0
+"""Greatest duration of a descent to the ground [s]."""
 
 
 class HeightLost(tables.Table, frozen=True):
@@ -58,9 +66,13 @@ class HeightLost(tables.Table, frozen=True):
     )
     """Times that the other engines take, and thrusts that they have, relative to theirs."""
     intervals: Annotated[int, msgspec.Meta(ge=2)] = 16
+    hovers: tuple[tables.Positive, ...] = (1.0, 2.0, 5.0)
+    """Heights of hovers that end with a touchdown [m]."""
+    moments: tuple[tables.Positive, ...] = (28.0, 33.0)
+    """Times on the way of the mission after which one does [s]: fast, and braking."""
 
     def __post_init__(self) -> None:
-        tables.check_levels(self, "experiments", "engines", "others")
+        tables.check_levels(self, "experiments", "engines", "others", "hovers", "moments")
 
 
 class Landing(NamedTuple):
@@ -76,11 +88,29 @@ class Landing(NamedTuple):
     """Greatest lean on the way [deg]."""
 
 
-UNITS = dict(zip(Landing._fields, ("m", "s", "m s-1", "deg"), strict=True))
+class Touchdown(NamedTuple):
+    """The end of a fall on the ground; NaN where there is none."""
+
+    downwards: float = np.nan
+    """Speed downwards [m/s]."""
+    sideways: float = np.nan
+    """Horizontal speed [m/s]."""
+    lean: float = np.nan
+    """Lean [deg]."""
+    duration: float = np.nan
+    """Since the engine stopped [s]."""
+    steepest: float = np.nan
+    """Greatest lean on the way [deg]."""
+
+
+UNITS = {
+    Landing: dict(zip(Landing._fields, ("m", "s", "m s-1", "deg"), strict=True)),
+    Touchdown: dict(zip(Touchdown._fields, ("m s-1", "m s-1", "deg", "s", "deg"), strict=True)),
+}
 
 
 class Fall:
-    """The fall of one robot without one engine.
+    """The fall of one robot without an engine that stops at a time [s] of its flight.
 
         X = (x, Ṫ), x of `CentroidalFlight`;  U = (v(u), ṡ);  T̈ = κ/τ² (f + g v)(T/κ, τ Ṫ/κ)        M32
 
@@ -88,9 +118,9 @@ class Fall:
     interval, and the dynamics hold by the trapezoidal rule.
     """
 
-    def __init__(self, asked: HeightLost, config: rust.Config, engine: str) -> None:
+    def __init__(self, asked: HeightLost, config: rust.Config, time: float, engine: str) -> None:
         self.asked, robot = asked, load_robot(config["robot"])
-        log = rust.fly(_with(config, asked.time)).log
+        log = rust.fly(_with(config, time)).log
         free = list(joints_of(config["robot"], GROUPS))
         posture, jets = log["joint_position"][-1], [jet.name for jet in robot.jets]
         system = CentroidalFlight(MomentumModel(robot, config["controller"]["aero"]), posture, tuple(free))
@@ -114,7 +144,7 @@ class Fall:
         running = np.array([one is not None for one in engines])
         com = (log["com_position"][-1], log["com_velocity"][-1], rpy, log["momentum"][-1][3:])
         self.start = np.concatenate([*com, running * log["thrust"][-1], posture[free], np.zeros(len(jets))])
-        self.height = float(self.start[HEIGHT])
+        self.height, self.ground = float(self.start[HEIGHT]), float(log["com_position"][0, HEIGHT])
         held = ca.vertcat(system.f(x[: system.nx], ca.DM.zeros(system.nu), wind), ca.DM.zeros(len(jets)))
         flown = ca.integrator("flown", "cvodes", {"x": x, "ode": held}, 0.0, asked.reaction)(x0=self.start)
         self.start = np.array(flown["xf"].full())[:, 0]
@@ -129,7 +159,7 @@ class Fall:
         ends = np.array([[0.0, 0.0] if one is None else [_input(one, one[of]) for of in throttles] for one in engines])
         self.inputs = np.concatenate([ends[:, 0], -fast]), np.concatenate([ends[:, 1], fast])
         self.still = np.concatenate([ends[:, 0], 0 * fast]), np.concatenate([ends[:, 1], 0 * fast])
-        self._build(len(jets))
+        self.jets = len(jets)
 
     def _end(self, x: Any, x_dot: Any) -> tuple[Any, Array, Array]:
         """Return rows that hold at the end of a fall, and their limits: level, slow, steady, balanced."""
@@ -137,33 +167,61 @@ class Fall:
         lower = [np.cos(LEAN_MAX), 0.0, 0.0, *[0.0] * 6]
         return rows, np.array(lower), np.array([np.inf, SIDEWAYS_MAX**2, np.inf, *[0.0] * 6])
 
-    def _build(self, jets: int) -> None:
-        """Build the fall, and the search for the state in which the robot is accelerated upwards most."""
+    @cached_property
+    def _path(self) -> tuple[Any, ...]:
+        """States, inputs and duration of a fall, its scales, its defects, and the integral of its effort."""
         count = self.asked.intervals
         x, u = ca.MX.sym("x", self.size, count + 1), ca.MX.sym("u", self.inputs[0].size, count + 1)
         scales, duration = ca.MX.sym("p", 2), ca.MX.sym("duration")
         x_dot, h = self.f.map(count + 1)(x, u, ca.repmat(scales, 1, count + 1)), duration / count
         defects = ca.vec(x[:, 1:] - x[:, :-1] - 0.5 * h * (x_dot[:, 1:] + x_dot[:, :-1]))
+        return x, u, duration, scales, x_dot, defects, EFFORT * h * ca.sumsqr(u[self.jets :, :] / JOINT_VELOCITY_MAX)
+
+    @cached_property
+    def _least(self) -> tuple[Any, Array, Array]:
+        """The search for the least height lost, and the limits of its rows."""
+        x, u, duration, scales, x_dot, defects, effort = self._path
         end, lower, upper = self._end(x[:, -1], x_dot[:, -1])
-        cost = self.height - x[HEIGHT, -1] + EFFORT * h * ca.sumsqr(u[jets:, :] / JOINT_VELOCITY_MAX)
-        problem = {"x": ca.veccat(x, u, duration), "p": scales, "f": cost, "g": ca.vertcat(defects, end)}
+        problem = {"x": ca.veccat(x, u, duration), "p": scales, "f": self.height - x[HEIGHT, -1] + effort}
+        solver = ca.nlpsol("fall", "ipopt", {**problem, "g": ca.vertcat(defects, end)}, IPOPT)
         none = np.zeros(defects.numel())
-        self.rows = {"lbg": np.concatenate([none, lower]), "ubg": np.concatenate([none, upper])}
-        self.solver = ca.nlpsol("fall", "ipopt", problem, IPOPT)
-        alone = ca.MX.sym("xu", self.size + self.inputs[0].size)
+        return solver, np.concatenate([none, lower]), np.concatenate([none, upper])
+
+    @cached_property
+    def _gentlest(self) -> tuple[Any, Array, Array]:
+        """The search for the touchdown that is least beyond the limits of a landing, and the limits of its rows.
+
+        It minimises σ, the greatest of `-v_z/1.5`, `|v_xy|/1.0` and `(1 - cos θ)/(1 - cos 30°)`.
+        """
+        x, u, duration, scales, _, defects, effort = self._path
+        sigma, end = ca.MX.sym("sigma"), x[:, -1]
+        lean = (1.0 - self.upright(end)) / (1.0 - np.cos(LEAN_MAX))
+        beyond = ca.vertcat(-end[DOWNWARDS] / DOWNWARDS_MAX - sigma, lean - sigma)
+        beyond = ca.vertcat(beyond, ca.sumsqr(end[3:5] / SIDEWAYS_MAX) - sigma**2, self.ground - x[HEIGHT, :].T)
+        problem = {"x": ca.veccat(x, u, duration, sigma), "p": scales, "f": sigma + effort}
+        solver = ca.nlpsol(
+            "touchdown", "ipopt", {**problem, "g": ca.vertcat(defects, end[HEIGHT] - self.ground, beyond)}, IPOPT
+        )
+        zero = np.zeros(defects.numel() + 1)
+        return solver, np.concatenate([zero, np.full(beyond.numel(), -np.inf)]), np.pad(zero, (0, beyond.numel()))
+
+    @cached_property
+    def _strongest(self) -> tuple[Any, Array, Array]:
+        """The search for the state in which the robot is accelerated upwards most, and the limits of its rows."""
+        alone, scales = ca.MX.sym("xu", self.size + self.inputs[0].size), ca.MX.sym("p", 2)
         x_dot = self.f(alone[: self.size], alone[self.size :], scales)
         rows, lower, upper = self._end(alone[: self.size], x_dot)
         lower[2] = -np.inf
-        self.end_rows = {"lbg": lower, "ubg": upper}
-        self.best = ca.nlpsol("best", "ipopt", {"x": alone, "p": scales, "f": -x_dot[DOWNWARDS], "g": rows}, IPOPT)
+        problem = {"x": alone, "p": scales, "f": -x_dot[DOWNWARDS], "g": rows}
+        return ca.nlpsol("best", "ipopt", problem, IPOPT), lower, upper
 
     def greatest_acceleration(self, thrust: float) -> float:
         """Return the greatest acceleration upwards in a state in which the fall may end [m/s²]."""
         (_, last), inputs = self._bounds(thrust), np.array(self.still)
         guess = np.concatenate([np.clip(self.start, *last), inputs.mean(axis=0)])
         bounds = [np.concatenate(pair) for pair in zip(last, inputs, strict=True)]
-        answer = self.best(x0=guess, p=[1.0, thrust], lbx=bounds[0], ubx=bounds[1], **self.end_rows)
-        return -float(answer["f"]) if self.best.stats()["success"] else np.nan
+        found = _solved(self._strongest, guess, [1.0, thrust], *bounds)
+        return np.nan if found is None else -found[1]
 
     def _bounds(self, thrust: float) -> list[tuple[Array, Array]]:
         """Return the bounds of the states on the way and at the end: a fall does not climb again."""
@@ -172,6 +230,20 @@ class Fall:
         high[DOWNWARDS] = 0.0
         low[DOWNWARDS] = -DOWNWARDS_MAX
         return [(self.lower, high), (low, high)]
+
+    def _guess(self, high: Array, drop: float) -> Array:
+        """Return a fall of a height [m] on which all thrusts rise towards their greatest."""
+        count = self.asked.intervals
+        path = np.tile(self.start, (count + 1, 1))
+        path[:, self.thrust] += np.linspace(0.0, 0.8, count + 1)[:, None] * (high - self.start)[self.thrust]
+        path[:, HEIGHT] -= np.linspace(0.0, drop, count + 1)
+        return np.concatenate([path.ravel(), np.tile(np.mean(self.inputs, axis=0), count + 1), [1.5]])
+
+    def _leans(self, found: Array) -> tuple[Array, Array]:
+        """Return the states of a fall (k, n), and the lean in each [deg]."""
+        count = self.asked.intervals + 1
+        path = found[: self.size * count].reshape(count, self.size)
+        return path, np.degrees(np.arccos(np.clip(self.upright.map(count)(path.T).full()[0], -1.0, 1.0)))
 
     def solve(self, spool_up: float, thrust: float, guess: Array | None = None) -> tuple[Landing, Array | None]:
         """Return the highest landing and the unknowns, `None` if there is none; `guess` are those of another one."""
@@ -182,19 +254,36 @@ class Fall:
             np.concatenate([self.start, *[on] * (count - 1), end, *[u] * count, still, [duration]])
             for on, end, u, still, duration in zip(way, last, self.inputs, self.still, (0.1, 6.0), strict=True)
         )
-        if guess is None:
-            path = np.tile(self.start, (count + 1, 1))
-            path[:, self.thrust] += np.linspace(0.0, 0.8, count + 1)[:, None] * (way[1] - self.start)[self.thrust]
-            inputs = np.tile(np.mean(self.inputs, axis=0), count + 1)
-            guess = np.concatenate([path.ravel(), inputs, [1.5]])
-        answer = self.solver(x0=guess, p=[spool_up, thrust], lbx=lower, ubx=upper, **self.rows)
-        if not self.solver.stats()["success"]:
+        guess = self._guess(way[1], 0.0) if guess is None else guess
+        answer = _solved(self._least, guess, [spool_up, thrust], lower, upper)
+        if answer is None:
             return Landing(), None
-        found = np.array(answer["x"].full())[:, 0]
-        path = found[: self.size * (count + 1)].reshape(count + 1, self.size)
-        lean = np.degrees(np.arccos(self.upright.map(count + 1)(path.T).full().min()))
-        height, duration = self.height - path[-1, HEIGHT], found[-1] + self.asked.reaction
-        return Landing(float(height), float(duration), float(-path[:, DOWNWARDS].min()), float(lean)), found
+        (path, leans), duration = self._leans(answer[0]), answer[0][-1] + self.asked.reaction
+        height = self.height - path[-1, HEIGHT]
+        return Landing(float(height), float(duration), float(-path[:, DOWNWARDS].min()), float(leans.max())), answer[0]
+
+    def touch_down(self, thrust: float = 1.0) -> Touchdown:
+        """Return the gentlest touchdown."""
+        count, high = self.asked.intervals, self.upper.copy()
+        high[self.thrust] *= thrust
+        lower, upper = (
+            np.concatenate([self.start, *[on] * count, *[u] * (count + 1), last])
+            for on, u, last in zip((self.lower, high), self.inputs, ((0.1, 0.0), (LONGEST, np.inf)), strict=True)
+        )
+        guess = np.append(self._guess(high, self.height - self.ground), 1.0)
+        answer = _solved(self._gentlest, guess, [1.0, thrust], lower, upper)
+        if answer is None:
+            return Touchdown()
+        (path, leans), duration = self._leans(answer[0]), answer[0][-2] + self.asked.reaction
+        sideways = float(np.linalg.norm(path[-1, 3:5]))
+        return Touchdown(float(-path[-1, DOWNWARDS]), sideways, float(leans[-1]), float(duration), float(leans.max()))
+
+
+def _solved(problem: tuple[Any, Array, Array], guess: Array, p: list[float], low: Array, high: Array) -> Any:
+    """Return unknowns and cost of an optimum, `None` where the solver finds none."""
+    solver, lower, upper = problem
+    answer = solver(x0=guess, p=p, lbx=low, ubx=high, lbg=lower, ubg=upper)
+    return (np.array(answer["x"].full())[:, 0], float(answer["f"])) if solver.stats()["success"] else None
 
 
 def _input(engine: dict[str, float], throttle: float) -> float:
@@ -218,13 +307,10 @@ def flown(asked: HeightLost, config: rust.Config, engine: str) -> Landing:
     """Return the end of a flight's fall: within the limits of a landing from then on, for 10 s after the loss."""
     initial = config["simulator"]["initial"]
     x, y, z = initial["base_position"]
-    fault = {"jets": {"failure": {"jet": engine, "time": asked.time, "kind": "off"}}}
     higher = _with(config, asked.time + 10.0, initial={**initial, "base_position": [x, y, z + ABOVE]})
-    log = rust.fly({**higher, "disturbances": fault}).log
+    log = rust.fly(_failing(higher, engine, asked.time)).log
     after = log["time"] >= asked.time
-    velocity = log["com_velocity"][after]
-    up = Rotation.from_quat(np.roll(log["base_quaternion"][after], -1, axis=1)).as_matrix()[:, 2, 2]
-    lean = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
+    velocity, lean = log["com_velocity"][after], _lean(log)[after]
     sideways = np.linalg.norm(velocity[:, :2], axis=1)
     beyond = (-velocity[:, 2] > DOWNWARDS_MAX) | (sideways > SIDEWAYS_MAX) | (lean > np.degrees(LEAN_MAX))
     last = int(np.flatnonzero(beyond)[-1]) if beyond.any() else 0
@@ -234,44 +320,112 @@ def flown(asked: HeightLost, config: rust.Config, engine: str) -> Landing:
     return Landing(height[0] - height[last], time[last] - time[0], -velocity[:, 2].min(), lean.max())
 
 
-def compute(_: str, asked: HeightLost) -> Findings:
-    """Compute all falls, those with other engines from the first, and fly."""
-    flights = {name: rust.load_config(name) for name in asked.experiments}
-    rows: list[list[Landing]] = []
-    best: list[float] = []
-    for config, engine in product(flights.values(), asked.engines):
-        fall, guess = Fall(asked, config, engine), None
-        best.append(fall.greatest_acceleration(1.0))
-        rows.append([])
-        for scales in asked.others:
-            landing, found = fall.solve(*scales, guess)
-            guess = found if guess is None else guess
-            rows[-1].append(landing)
-        rows[-1].append(flown(asked, config, engine))
+def touched(config: rust.Config, engine: str, time: float) -> Touchdown:
+    """Return the touchdown of a flight after a loss."""
+    flight = rust.fly(_failing(_with(config, time + 2.0 * LONGEST), engine, time))
+    if flight.outcome not in ("landed", "crashed"):
+        return Touchdown()
+    velocity, lean = flight.log["com_velocity"][-1], _lean(flight.log)[flight.log["time"] >= time]
+    sideways, duration = np.linalg.norm(velocity[:2]), flight.log["time"][-1] - time
+    return Touchdown(*map(float, (-velocity[2], sideways, lean[-1], duration, lean.max())))
+
+
+def losses_of(asked: HeightLost, config: rust.Config) -> dict[str, tuple[rust.Config, float]]:
+    """Return flights and times of their losses [s] by name: hovers, each after a climb, and moments of the mission."""
+    tops = {height: START + height / config["controller"]["setpoint"]["speed"][1] for height in asked.hovers}
+    hovers = {
+        f"hover at {height:g} m": ({**config, "mission": {"up": [[START, top]]}}, top + SETTLING)
+        for height, top in tops.items()
+    }
+    return hovers | {f"mission at {time:g} s": (config, time) for time in asked.moments}
+
+
+def _failing(config: rust.Config, engine: str, time: float) -> rust.Config:
+    return {**config, "disturbances": {"jets": {"failure": {"jet": engine, "time": time, "kind": "off"}}}}
+
+
+def _lean(log: Mapping[str, Array]) -> Array:
+    """Return the lean [deg] of each tick."""
+    up = Rotation.from_quat(np.roll(log["base_quaternion"], -1, axis=1)).as_matrix()[:, 2, 2]
+    return np.asarray(np.degrees(np.arccos(np.clip(up, -1.0, 1.0))))
+
+
+def landings(asked: HeightLost, config: rust.Config, engine: str) -> tuple[float, list[Landing]]:
+    """Return the greatest acceleration at the end [m/s²], and all falls, those with other engines from the first."""
+    fall, guess = Fall(asked, config, asked.time, engine), None
+    found = []
+    for scales in asked.others:
+        landing, unknowns = fall.solve(*scales, guess)
+        guess = unknowns if guess is None else guess
+        found.append(landing)
+    return fall.greatest_acceleration(1.0), [*found, flown(asked, config, engine)]
+
+
+def heights(asked: HeightLost, flights: Mapping[str, rust.Config]) -> Findings:
+    """Compute the falls from hover, and fly."""
+    rows = [landings(asked, config, engine) for config, engine in product(flights.values(), asked.engines)]
     dims, shape = ("robot", "engine"), (len(flights), len(asked.engines))
-    values = np.array(rows).reshape(*shape, len(asked.others) + 1, len(Landing._fields))
-    variables: dict[str, Any] = {"acceleration": (dims, np.reshape(best, shape), {"units": "m s-2"})}
-    for place, (field, unit) in enumerate(UNITS.items()):
+    values = np.array([row for _, row in rows]).reshape(*shape, len(asked.others) + 1, len(Landing._fields))
+    best = np.reshape([acceleration for acceleration, _ in rows], shape)
+    variables: dict[str, Any] = {"acceleration": (dims, best, {"units": "m s-2"})}
+    for place, (field, unit) in enumerate(UNITS[Landing].items()):
         variables[field] = ((*dims, "others"), values[:, :, :-1, place], {"units": unit})
         variables[f"flown_{field}"] = (dims, values[:, :, -1, place], {"units": unit})
     for place, name in enumerate(("spool_up", "thrust")):
         variables[name] = ("others", [scales[place] for scales in asked.others], {"units": "1"})
     data = xr.Dataset(variables, {"robot": list(flights), "engine": list(asked.engines)})
-    return Findings("Least height lost after an engine stops", data, _summary(data), flights=flights)
-
-
-def _summary(data: xr.Dataset) -> dict[str, float | None]:
     found: dict[str, float] = {}
     for robot, engine in product(data["robot"].values, data["engine"].values):
         name, one = f"{robot}, {engine}", data.sel(robot=robot, engine=engine)
         found[f"{name}: greatest acceleration at the end [m/s2]"] = float(one["acceleration"])
-        for field, unit in UNITS.items():
+        for field, unit in UNITS[Landing].items():
             for of in one["others"].values:
                 scales = f"spool-up {float(one['spool_up'][of]):g}, thrust {float(one['thrust'][of]):g}"
                 found[f"{name}, {scales}: {field} [{unit}]"] = float(one[field][of])
             found[f"{name}, flown: {field} [{unit}]"] = float(one[f"flown_{field}"])
-    return {key: None if np.isnan(value) else value for key, value in found.items()}
+    return Findings("Least height lost after an engine stops", data, _numbers(found), flights=flights)
 
 
-STUDY = Study("height_lost", __doc__, HeightLost, compute, ("hover",))
+def touchdowns(asked: HeightLost, flights: Mapping[str, rust.Config]) -> Findings:
+    """Compute the gentlest touchdowns, and fly."""
+    found, labels = {}, list(losses_of(asked, next(iter(flights.values()))))
+    for (robot, config), engine in product(flights.items(), asked.engines):
+        for place, (flight, time) in losses_of(asked, config).items():
+            best = Fall(asked, flight, time, engine).touch_down()
+            found[robot, engine, place] = best, touched(flight, engine, time)
+            print(robot, engine, place, *found[robot, engine, place], flush=True)
+    axes = {"robot": list(flights), "engine": list(asked.engines), "place": labels, "of": ["optimum", "flown"]}
+    values = np.array(list(found.values())).reshape(*map(len, axes.values()), len(Touchdown._fields))
+    data = xr.Dataset(
+        {
+            field: (tuple(axes), values[..., place], {"units": unit})
+            for place, (field, unit) in enumerate(UNITS[Touchdown].items())
+        },
+        axes,
+    )
+    summary = {
+        f"{', '.join(of)}: {field}, {what} [{unit.replace(' s-1', '/s')}]": getattr(end, field)
+        for of, ends in found.items()
+        for what, end in zip(axes["of"], ends, strict=True)
+        for field, unit in UNITS[Touchdown].items()
+    }
+    return Findings("Gentlest touchdown after an engine stops", data, _numbers(summary), flights=flights)
+
+
+def _numbers(figures: Mapping[str, float]) -> dict[str, float | None]:
+    return {key: None if np.isnan(value) else value for key, value in figures.items()}
+
+
+PARTS = {"hover": heights, "touchdown": touchdowns}
+"""What is computed, by the name of the result."""
+
+
+def compute(name: str, asked: HeightLost) -> Findings:
+    """Compute one part."""
+    if name not in PARTS:
+        raise Refused(f"there is no {name}; expected one of {', '.join(PARTS)}")
+    return PARTS[name](asked, {one: rust.load_config(one) for one in asked.experiments})
+
+
+STUDY = Study("height_lost", __doc__, HeightLost, compute, tuple(PARTS))
 main = STUDY.main
