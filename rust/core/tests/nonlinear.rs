@@ -62,8 +62,15 @@ fn the_expansion_is_that_of_differences() {
         let jets = robot.jet_models(config.controller.law.jet_dynamics);
         let mut knot = Knot::new(&mpc, robot, jets, joints, clearance);
         let posture = controller.state().posture();
-        let world =
-            World { robot, conventions: LinkConventions::default(), air: mpc.air, now, posture, speed: 0.5 };
+        let world = World {
+            robot,
+            conventions: LinkConventions::default(),
+            air: mpc.air,
+            now,
+            posture,
+            ground: 0.0,
+            speed: 0.5,
+        };
         knot.begin(&world);
         let mut state = State::new(4, knot.joints.len());
         state.set_from(&now, &knot.joints);

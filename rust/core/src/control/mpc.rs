@@ -179,11 +179,12 @@ impl PredictiveLaw {
         command: &mut Command,
     ) -> bool {
         let Self { nonlinear, air, conventions, time_step, .. } = self;
-        let ControllerState { plan, estimate, posture, .. } = state;
+        let ControllerState { plan, estimate, posture, ground, .. } = state;
         let planner = nonlinear.as_mut().zip(plan.nonlinear.as_mut());
         let Some((planner, plan)) = planner.filter(|_| !terms.limits.holds_position) else { return false };
         let now = Present { estimate, terms };
-        let world = World { robot, conventions: *conventions, air: *air, now, posture, speed };
+        let world =
+            World { robot, conventions: *conventions, air: *air, now, posture, ground: *ground, speed };
         if !planner.improve(aero, world, plan) {
             return false;
         }

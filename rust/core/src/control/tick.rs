@@ -119,6 +119,7 @@ impl Controller {
             is_descending: false,
             setpoint: law.generator().start(com, &robot.base.rotation),
             posture: robot.joint_position.clone(),
+            ground: com.z,
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
@@ -353,6 +354,7 @@ fn begin_again(
     if let Some((com, inertia_0_b)) = reference(model, robot, kinematics, dynamics) {
         state.setpoint = generator.start(com, &robot.base.rotation);
         state.posture.copy_from(&robot.joint_position);
+        state.ground = f64::NEG_INFINITY;
         state.inertia_0_b = inertia_0_b;
         state.velocity_error_integral.fill(0.0);
         state.torque_is_known = false;

@@ -10,12 +10,18 @@ use std::ops::ControlFlow;
 const HOVERING: f64 = 18.0;
 const FAST: f64 = 28.0;
 
+/// Hovering 1 m above the start \[s\].
+const LOW: f64 = 14.0;
+
 /// A flight in which a jet stops at once; without the nonlinear plan, distances weigh as much on the way down \[1/m²\].
 fn fly_without(jet: &str, time: f64, of_distances: Option<f64>) -> FlightResult {
     let config = with(experiment("robot"), |config| {
         config.simulator.duration = time + 18.0;
         config.disturbances.jets.failure =
             Some(JetFailure { jet: jet.into(), time, kind: FailureKind::Off, decay: 0.0 });
+        if time == LOW {
+            config.mission.commands.up = vec![(10.0, 11.34)];
+        }
         let mpc = config.controller.law.mpc.as_mut().unwrap();
         if of_distances.is_some() {
             mpc.nonlinear_descent = false;
@@ -39,4 +45,15 @@ fn a_robot_lands_without_an_engine() {
         let flight = fly_without(jet, time, of_distances);
         assert_eq!(flight.outcome, outcome, "{jet}, {time}, {of_distances:?}: {:?}", flight.loss);
     }
+}
+
+/// A plan that ends at the ground touches down upright: one that goes on below it leans by 23° there.
+#[test]
+fn a_low_robot_touches_down_upright() {
+    let flight = fly_without("l_arm_jet", LOW, None);
+    let quaternion = flight.log.series("base_quaternion").unwrap();
+    let [_, x, y, _] = *quaternion.row(flight.log.len() - 1) else { panic!() };
+    let lean = libm::acos(1.0 - 2.0 * (x * x + y * y)).to_degrees();
+    assert_eq!(flight.outcome, Outcome::Landed, "{:?}", flight.loss);
+    assert!(lean < 19.0, "{lean}");
 }

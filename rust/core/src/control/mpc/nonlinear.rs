@@ -6,9 +6,11 @@
 //! x⁺ = x + h ẋ + h²/2 F ẋ        over a knot of length h, with F = ∂ẋ/∂x at its beginning
 //! ```
 //!
-//! Every tick makes one iteration: the last plan's feedback is flown from the present state, with a shorter step where the
-//! motion costs more than expected. Dynamics and cost are expanded along it, and a backward pass gives the feedback that
-//! minimises the expansion, with inputs within bounds (Li and Todorov 2004; Tassa et al. 2014).
+//! An iteration flies the last plan's feedback from the present state, with a shorter step where the motion costs more than
+//! expected. Dynamics and cost are expanded along it, and a backward pass gives the feedback that minimises the expansion,
+//! with inputs within bounds (Li and Todorov 2004; Tassa et al. 2014). The motion of a first plan diverges within a second:
+//! it begins with few knots, and has more once it ends well. It ends at the ground. The iterations of a tick have together no
+//! more knots than a whole plan.
 //!
 //! ```text
 //! knot       dynamics and cost at a knot, expanded      [`knot`]
@@ -43,6 +45,10 @@ const KNOTS: [f64; 27] = [
 ];
 /// For how long the errors at the end of the last knot count \[s\].
 const TAIL: f64 = 1.0;
+/// Knots of a first plan.
+const KNOTS_FIRST: usize = 13;
+/// A plan whose robot is no higher above its touch-down than this does not end there \[m\].
+const ABOVE_GROUND: f64 = 0.05;
 /// Weight of a change of the inputs: at the first plan, its limits, and its factor after a plan whose whole step was flown;
 /// its inverse after another one.
 const DAMPING: f64 = 1.0;
@@ -50,7 +56,7 @@ const DAMPING_RANGE: [f64; 2] = [1e-3, 1e3];
 const DAMPING_FACTOR: f64 = 0.25;
 /// Greatest age of a plan that is improved \[s\]; in place of an older one a new plan begins.
 const AGE_MAX: f64 = 0.2;
-/// A plan is followed if it ends falling no faster \[m/s\], and with at least this cosine of the lean.
+/// A plan ends well, and is followed, if it ends falling no faster \[m/s\], and with at least this cosine of the lean.
 const END_DOWNWARDS: f64 = 3.0;
 const END_UPRIGHT: f64 = 0.7;
 
@@ -67,6 +73,9 @@ pub struct NonlinearPlan {
     since: Option<f64>,
     /// Weight of a change of the inputs.
     damping: f64,
+    /// Its knots: at most, and those before it ends or reaches the ground.
+    knots_max: usize,
+    knots: usize,
 }
 
 impl NonlinearPlan {
@@ -93,6 +102,8 @@ pub(super) struct Nonlinear {
     /// Dynamics and cost along it.
     expansions: Vec<Expansion>,
     riccati: Riccati,
+    /// Number of its knots.
+    knots: usize,
     difference: DVector<f64>,
     /// Inputs after the last knot: none.
     none: Vec<f64>,
@@ -130,6 +141,8 @@ impl Nonlinear {
             cost: 0.0,
             since: None,
             damping: DAMPING,
+            knots_max: knots,
+            knots,
         };
         Ok(Self {
             no_plan,
@@ -137,6 +150,7 @@ impl Nonlinear {
             flown,
             expansions: vec![Expansion::new(n, m); knots + 1],
             riccati: Riccati::new(n, m),
+            knots,
             difference: DVector::zeros(n),
             none: vec![0.0; m],
             inputs: vec![0.0; m],
@@ -144,33 +158,61 @@ impl Nonlinear {
         })
     }
 
-    /// Improves the plan from the present state, and sets `inputs` to its first ones; `false` without a plan that ends as it
-    /// should.
+    /// Improves the plan from the present state, and sets `inputs` to its first ones; `false` without a plan that ends well.
     pub(super) fn improve(&mut self, aero: &mut AeroModel, world: World, plan: &mut NonlinearPlan) -> bool {
         let time = world.now.estimate.robot.time;
         self.knot.begin(&world);
-        self.flown.states[0].set_from(&world.now, &self.knot.joints);
         let age = plan.since.take().map(|since| time - since).filter(|age| (0.0..=AGE_MAX).contains(age));
-        let cost = if let Some(age) = age {
-            self.fly_last(aero, &world, plan, age)
+        let mut left = KNOTS.len();
+        let mut age = if let Some(age) = age {
+            age
         } else {
             self.knot.hold(&world, &mut self.inputs);
-            plan.damping = DAMPING;
-            self.fly(aero, &world, f64::INFINITY, None)
+            (plan.damping, plan.knots_max) = (DAMPING, KNOTS_FIRST);
+            let cost = self.fly(aero, &world, f64::INFINITY, KNOTS_FIRST, None);
+            if !self.take(cost, plan) {
+                return false;
+            }
+            left -= KNOTS_FIRST;
+            0.0
         };
+        loop {
+            let more = (plan.knots_max + plan.knots_max / 2).min(KNOTS.len());
+            let grows =
+                plan.knots_max < KNOTS.len() && more <= left && plan.damping <= DAMPING && plan.ends_well();
+            if grows {
+                plan.knots_max = more;
+            }
+            if plan.knots_max > left {
+                break;
+            }
+            left -= plan.knots_max;
+            let expected = if grows { f64::INFINITY } else { GROWTH * plan.cost + GROWTH_LEAST };
+            let cost = self.fly_last(aero, &world, expected, plan, age);
+            if !self.take(cost, plan) {
+                return false;
+            }
+            age = 0.0;
+        }
+        plan.since = Some(time);
+        for ((input, flown), step) in self.inputs.iter_mut().zip(&plan.motion.inputs).zip(&plan.steps) {
+            *input = flown + step;
+        }
+        plan.ends_well()
+    }
+
+    /// Makes the flown motion the plan's, with the feedback that improves it; `false` without one.
+    fn take(&mut self, cost: Option<f64>, plan: &mut NonlinearPlan) -> bool {
+        let Self { riccati, expansions, flown, knot, knots, inputs, .. } = self;
         let Some(cost) = cost else { return false };
-        let Self { riccati, expansions, flown, knot, inputs, .. } = self;
+        let (expansions, of_motion) = (&expansions[..=*knots], &flown.inputs[..*knots * inputs.len()]);
         let feedback = (&mut *plan.steps, &mut *plan.gains);
-        if !riccati.solve(expansions, &flown.inputs, &knot.bounds, plan.damping, feedback) {
+        if !riccati.solve(expansions, of_motion, &knot.bounds, plan.damping, feedback) {
             return false;
         }
         std::mem::swap(&mut plan.motion, flown);
-        (plan.cost, plan.since) = (cost, Some(time));
-        for ((input, flown), step) in inputs.iter_mut().zip(&plan.motion.inputs).zip(&plan.steps) {
-            *input = flown + step;
-        }
-        let end = &plan.motion.states[KNOTS.len()];
-        end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT
+        (plan.cost, plan.knots) = (cost, *knots);
+        true
     }
 
     /// Flies the plan that began `age` \[s\] ago with the greatest share of its step that costs no more than expected.
@@ -178,14 +220,14 @@ impl Nonlinear {
         &mut self,
         aero: &mut AeroModel,
         world: &World,
+        expected: f64,
         plan: &mut NonlinearPlan,
         age: f64,
     ) -> Option<f64> {
-        let expected = GROWTH * plan.cost + GROWTH_LEAST;
         let (mut cost, mut is_whole) = (None, true);
         for share in SHARES {
             let most = if share > 0.0 { expected } else { f64::INFINITY };
-            cost = self.fly(aero, world, most, Some((plan, share, age)));
+            cost = self.fly(aero, world, most, plan.knots_max, Some((plan, share, age)));
             is_whole = share == SHARES[0];
             if cost.is_some() {
                 break;
@@ -201,20 +243,29 @@ impl Nonlinear {
         self.knot.acceleration(jet, thrust, rate, input)
     }
 
-    /// Flies the feedback of the last plan with a share of its step, which began so long ago \[s\], or `inputs` without one;
-    /// returns the cost, `None` where it exceeds `most`, the inertia cannot be inverted or a number is not finite.
+    /// Flies the feedback of the last plan with a share of its step, which began so long ago \[s\], or `inputs` without one,
+    /// over a number of knots or to the ground; returns the cost, `None` where it exceeds `most`, the inertia cannot be
+    /// inverted or a number is not finite.
     fn fly(
         &mut self,
         aero: &mut AeroModel,
         world: &World,
         most: f64,
+        knots: usize,
         last: Option<(&NonlinearPlan, f64, f64)>,
     ) -> Option<f64> {
-        let (n, m, knots) = (self.difference.len(), self.inputs.len(), KNOTS.len());
+        let (n, m) = (self.difference.len(), self.inputs.len());
         let (mut cost, mut begin) = (0.0, 0.0);
-        for (knot, &duration) in KNOTS.iter().enumerate() {
+        self.flown.states[0].set_from(&world.now, &self.knot.joints);
+        let is_high = self.flown.states[0].height > world.ground + ABOVE_GROUND;
+        self.knots = knots;
+        for (knot, &duration) in KNOTS.iter().enumerate().take(knots) {
             let (before, after) = self.flown.states.split_at_mut(knot + 1);
             let (state, next) = (&before[knot], &mut after[0]);
+            if is_high && state.height < world.ground {
+                self.knots = knot;
+                break;
+            }
             let inputs = &mut self.flown.inputs[knot * m..(knot + 1) * m];
             if let Some((plan, share, age)) = last {
                 let times = (begin + age, begin + age + duration);
@@ -236,7 +287,7 @@ impl Nonlinear {
             }
             begin += duration;
         }
-        let (end, last) = ((&self.flown.states[knots], &*self.none), &mut self.expansions[knots]);
+        let (end, last) = ((&self.flown.states[self.knots], &*self.none), &mut self.expansions[self.knots]);
         self.knot.advance(aero, world, end, (0.0, TAIL), &mut self.state, last)?;
         cost += last.cost;
         (cost.is_finite() && cost <= most).then_some(cost)
@@ -244,14 +295,19 @@ impl Nonlinear {
 }
 
 impl NonlinearPlan {
+    fn ends_well(&self) -> bool {
+        let end = &self.motion.states[self.knots];
+        end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT
+    }
+
     /// Writes the mean of the inputs between two times \[s\] with a share of their step, and the state at the first time;
     /// returns its knot.
     fn read(&self, (begin, end): (f64, f64), of_step: f64, inputs: &mut [f64], state: &mut State) -> usize {
         let m = inputs.len();
         inputs.fill(0.0);
         let (mut start, mut found) = (0.0, None);
-        for (place, length) in KNOTS.iter().enumerate() {
-            let is_last = place + 1 == KNOTS.len();
+        for (place, length) in KNOTS.iter().enumerate().take(self.knots) {
+            let is_last = place + 1 == self.knots;
             let stop = if is_last { f64::INFINITY } else { start + length };
             let share = (end.min(stop) - begin.max(start)).max(0.0) / (end - begin);
             if share > 0.0 {

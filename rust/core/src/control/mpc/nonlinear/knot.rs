@@ -28,6 +28,8 @@ pub struct World<'a> {
     pub now: Present<'a>,
     /// The posture \[rad\].
     pub posture: &'a DVector<f64>,
+    /// Height of the centre of mass at touch-down \[m\].
+    pub ground: f64,
     /// Speed of the descent \[m/s\].
     pub speed: f64,
 }
@@ -42,14 +44,14 @@ const SMALL: f64 = 1e-4;
 /// Weights of squares, per second; the sweep `robot_descent` judges them. Velocity of the centre of mass, along x, y and z
 /// \[s²/m²\]; beyond this speed its horizontal cost grows linearly (pseudo-Huber) \[m/s\]: a fast robot that brakes at
 /// once turns over.
-const VELOCITY: [f64; 3] = [80.0, 80.0, 200.0];
-const LINEAR_BEYOND: f64 = 0.7;
+const VELOCITY: [f64; 3] = [80.0, 80.0, 300.0];
+const LINEAR_BEYOND: f64 = 0.25;
 /// Lean, of which `2 (1 − cos)` is the square \[1/rad²\], and angular velocity \[s²/rad²\].
-const LEAN: f64 = 300.0;
+const LEAN: f64 = 400.0;
 const ANGULAR_VELOCITY: f64 = 5.0;
 /// Joint positions about the posture of the first tick \[1/rad²\], and joint velocities \[s²/rad²\].
 const POSTURE: f64 = 0.05;
-const JOINT_VELOCITY: f64 = 5.0;
+const JOINT_VELOCITY: f64 = 1.0;
 /// Thrust rates \[s²/N²\].
 const THRUST_RATE: f64 = 1e-6;
 /// Distances below the least one, not per second \[1/m²\].
