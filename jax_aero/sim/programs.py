@@ -25,7 +25,7 @@ def _processor() -> str:
 
 
 def keep_programs() -> None:
-    """Let JAX keep what it compiles for a second and longer, unless the user has said where or nothing can be kept."""
+    """Let JAX keep all that it compiles, unless the user has said where or nothing can be kept."""
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None:
         with suppress(OSError, RuntimeError):  # `Path.home` raises the latter for a user without a home
@@ -34,3 +34,4 @@ def keep_programs() -> None:
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK):
                 config.update("jax_compilation_cache_dir", str(folder))
+                config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

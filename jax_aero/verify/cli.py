@@ -45,12 +45,14 @@ def _compare(options: argparse.Namespace) -> int:
     import jax
 
     from jax_aero.sim.preparation import read_config, refuse
+    from jax_aero.sim.programs import keep_programs
     from jax_aero.verify.flight import verify_flight
     from jax_aero.verify.law import verify_law
     from jax_aero.verify.library import BUILD, find, verify_library, why_not
     from jax_aero.verify.reach import unreached
     from jax_aero.verify.ticks import verify_ticks
 
+    keep_programs()
     config = None if options.robot else use_double_precision(_config(options))
     if config is not None and compared(config) == "nothing":
         refuse(read_config(config))

@@ -74,7 +74,7 @@ def changes(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
         name = jax.tree_util.keystr(path).lstrip(".")
         if np.size(leaf) and not name.startswith(COPIED):
             values = [value for _, value in leaves]
-            values[place] = CHANGE * np.asarray(leaf) if np.any(leaf) else np.full_like(leaf, CHANGE - 1.0)
+            values[place] = CHANGE * np.asarray(leaf) if np.any(np.asarray(leaf)) else np.full_like(leaf, CHANGE - 1.0)
             yield name, jax.tree.unflatten(structure, values)
 
 

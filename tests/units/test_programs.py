@@ -8,9 +8,12 @@ from jax_aero.sim.programs import keep_programs
 
 @pytest.fixture
 def setting():
-    before = jax.config.jax_compilation_cache_dir
-    yield lambda folder: jax.config.update("jax_compilation_cache_dir", folder)
-    jax.config.update("jax_compilation_cache_dir", before)
+    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    before = {name: getattr(jax.config, name) for name in names}
+    jax.config.update(names[1], 1.0)
+    yield lambda folder: jax.config.update(names[0], folder)
+    for name, value in before.items():
+        jax.config.update(name, value)
 
 
 def test_programs_are_kept_in_the_users_cache_folder(setting, monkeypatch, tmp_path):
@@ -18,12 +21,14 @@ def test_programs_are_kept_in_the_users_cache_folder(setting, monkeypatch, tmp_p
     setting(None)
     keep_programs()
     assert jax.config.jax_compilation_cache_dir.startswith(str(tmp_path / "jax-aero"))
+    assert jax.config.jax_persistent_cache_min_compile_time_secs == 0.0
 
 
 def test_the_folder_that_is_given_stays(setting, tmp_path):
     setting(str(tmp_path / "mine"))
     keep_programs()
     assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine")
+    assert jax.config.jax_persistent_cache_min_compile_time_secs == 1.0
 
 
 def test_a_folder_that_cannot_be_made_is_not_used(setting, monkeypatch, tmp_path):
