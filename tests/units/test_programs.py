@@ -9,11 +9,11 @@ from jax_aero.sim.programs import keep_programs
 @pytest.fixture
 def setting():
     names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: getattr(jax.config, name) for name in names}
+    before = [getattr(jax.config, name) for name in names]
     jax.config.update(names[1], 1.0)
     yield lambda folder: jax.config.update(names[0], folder)
-    for name, value in before.items():
-        jax.config.update(name, value)
+    for setting in zip(names, before, strict=True):
+        jax.config.update(*setting)
 
 
 def test_programs_are_kept_in_the_users_cache_folder(setting, monkeypatch, tmp_path):
