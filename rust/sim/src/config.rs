@@ -94,6 +94,7 @@ impl ScenarioConfig {
 ///
 /// # Errors
 /// [`BuildError`] naming the invalid part.
+#[inline]
 pub fn onboard(table: Value, origin: &str) -> Result<(RobotModel, ControllerConfig, Controller), BuildError> {
     if table.get("simulator").is_some() {
         let config: ScenarioConfig = from_value(table, origin)?;
