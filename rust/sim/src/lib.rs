@@ -9,6 +9,7 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
 mod actuation;
+#[cfg(feature = "threads")]
 mod batch;
 pub mod config;
 pub mod disturbances;
@@ -39,6 +40,7 @@ mod world;
 pub const NUMERICS: u32 = 1;
 
 pub use actuation::{Actuation, ActuationConfig};
+#[cfg(feature = "threads")]
 pub use batch::{BatchError, fly_batch};
 pub use config::{Backend, ScenarioConfig, SimulatorConfig, load_scenario, onboard, schemas};
 pub use disturbances::Disturbances;
