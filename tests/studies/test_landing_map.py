@@ -26,13 +26,14 @@ def test_a_way_has_its_height_speed_and_lean_at_its_place(place, speed, lean):
     assert np.degrees(angles[0, 1]) == pytest.approx(lean, abs=0.05)
 
 
-def test_a_chest_engine_may_stop_at_5_m_but_not_at_1_m():
+def test_a_chest_engine_may_stop_at_5_m_but_for_some_robots_not_at_1_m():
     asked, config = landing_map.LandingMap(robots=2), rust.load_config("robot")
     hovers = [
         landing_map.lost({**config, "mission": {"up": [[1.0, 1.0 + height / 0.75]]}}, "chest_l_jet", 9.5, height)
         for height in (1.0, 5.0)
     ]
-    assert landing_map.landed(asked, rust.Robot(config["robot"]), hovers).tolist() == [0.0, 1.0]
+    low, high = landing_map.landed(asked, rust.Robot(config["robot"]), hovers)
+    assert low < high == 1.0
 
 
 def test_the_map_is_linear_between_its_cells_and_constant_beyond():
@@ -62,7 +63,7 @@ def test_a_mission_is_outside_where_the_map_says_so(monkeypatch):
         return np.array(["arm" in loss["disturbances"]["jets"]["failure"]["jet"] for loss in losses], dtype=float)
 
     monkeypatch.setattr(landing_map, "landed", landed)
-    found = landing_map.compute("robot", landing_map.LandingMap(missions=(), speeds=(6.0,), heights=(1.0, 5.0)))
+    found = landing_map.compute("robot", landing_map.LandingMap(missions=("leaning_8",), speeds=(6.0,), heights=(1.0, 5.0)))
     arm, chest = (found.summary[f"robot, {engine}"] for engine in ASKED.engines)
     assert (arm["outside by the map [s]"], arm["outside as flown [s]"], arm["land at any time [%]"]) == (
         0.0,

@@ -169,6 +169,7 @@ def compute(_: str, asked: LandingMap) -> Findings:
             "map": shares_at(share, states),
             "flown": (("engine", "loss"), flown),
             "at": ("loss", times),
+            "loss": np.arange(times.size),
             "aloft": end - start,
         }
         rows.append(states.rename({key: f"mission_{key}" for key in states}).assign(seen))
