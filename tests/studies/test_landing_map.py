@@ -63,7 +63,9 @@ def test_a_mission_is_outside_where_the_map_says_so(monkeypatch):
         return np.array(["arm" in loss["disturbances"]["jets"]["failure"]["jet"] for loss in losses], dtype=float)
 
     monkeypatch.setattr(landing_map, "landed", landed)
-    found = landing_map.compute("robot", landing_map.LandingMap(missions=("leaning_8",), speeds=(6.0,), heights=(1.0, 5.0)))
+    found = landing_map.compute(
+        "robot", landing_map.LandingMap(missions=("leaning_8",), speeds=(6.0,), heights=(1.0, 5.0))
+    )
     arm, chest = (found.summary[f"robot, {engine}"] for engine in ASKED.engines)
     assert (arm["outside by the map [s]"], arm["outside as flown [s]"], arm["land at any time [%]"]) == (
         0.0,
