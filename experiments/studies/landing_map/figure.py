@@ -20,7 +20,8 @@ def draw(study: xr.Dataset) -> Figure:
     leans = study["lean"]
     nearest = abs(study["mission_lean"] - leans).fillna(360.0).argmin("lean")
     for row, engine in zip(grid, study["engine"].values, strict=True):
-        for place, (axes, title) in enumerate(zip(row, LEANS, strict=True)):
+        row[0].set_ylabel(f"{readable_name(engine)}: height [m]")
+        for place, axes in enumerate(row):
             share = study["share"].sel(engine=engine).isel(lean=place).transpose("height", "speed")
             levels = axes.contourf(share["speed"], share["height"], 100.0 * share, range(0, 101, 10), cmap="YlGn")
             for mission, colour in zip(study["mission"].values, COLOURS, strict=False):
@@ -28,12 +29,10 @@ def draw(study: xr.Dataset) -> Figure:
                 here = nearest.sel(mission=mission) == place
                 way = {"color": colour, "label": mission, "markersize": 1.5}
                 axes.plot(one["mission_speed"].where(here), one["mission_height"].where(here), ".", **way)
-            axes.set_title(f"{readable_name(engine)}, {title}", loc="center")
-    for axes in grid[-1]:
-        axes.set_xlabel("speed [m/s]")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("height [m]")
-    style.legend_above(grid[0, 0], len(COLOURS))
+    for top, bottom, title in zip(grid[0], grid[-1], LEANS, strict=True):
+        top.set_title(title, loc="center")
+        bottom.set_xlabel("speed [m/s]")
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=len(COLOURS), fontsize=7)
     figure.colorbar(levels, ax=grid.ravel().tolist(), label="robots that land [%]")
     return figure
 
