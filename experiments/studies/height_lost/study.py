@@ -346,7 +346,7 @@ def _failing(config: rust.Config, engine: str, time: float) -> rust.Config:
 
 def _lean(log: Mapping[str, Array]) -> Array:
     """Return the lean [deg] of each tick."""
-    up = Rotation.from_quat(np.roll(log["base_quaternion"], -1, axis=1)).as_matrix()[:, 2, 2]
+    up = rust.rotation_from_wxyz(log["base_quaternion"])[:, 2, 2]
     return np.asarray(np.degrees(np.arccos(np.clip(up, -1.0, 1.0))))
 
 

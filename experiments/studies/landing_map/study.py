@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from experiments.robot import waypoints
 from experiments.robot.waypoints import PEAK, Step, Waypoints
@@ -132,7 +131,7 @@ def states_of(config: rust.Config) -> xr.Dataset:
     """Return speed [m/s], height [m] and lean ahead [deg] of a mission's flight in the air, over time [s]."""
     log, (_, _, ahead) = rust.fly(config).log, waypoints.start_of(config)
     height = log["com_position"][:, 2] - log["com_position"][0, 2]
-    up = Rotation.from_quat(np.roll(log["base_quaternion"], -1, axis=1)).as_matrix()[:, :, 2]
+    up = rust.rotation_from_wxyz(log["base_quaternion"])[:, :, 2]
     found = {
         "speed": np.linalg.norm(log["com_velocity"][:, :2], axis=1),
         "height": height,

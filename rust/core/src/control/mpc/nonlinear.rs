@@ -73,9 +73,8 @@ pub struct NonlinearPlan {
     since: Option<f64>,
     /// Weight of a change of the inputs.
     damping: f64,
-    /// Its knots: at most, and those before it ends or reaches the ground.
+    /// Greatest number of its knots.
     knots_max: usize,
-    knots: usize,
 }
 
 impl NonlinearPlan {
@@ -88,6 +87,8 @@ impl NonlinearPlan {
 /// States at the ends of the knots, and inputs by knot.
 #[derive(Debug, Clone, PartialEq)]
 struct Motion {
+    /// Number of knots until it ends or reaches the ground.
+    knots: usize,
     states: Vec<State>,
     inputs: Vec<f64>,
 }
@@ -102,8 +103,6 @@ pub(super) struct Nonlinear {
     /// Dynamics and cost along it.
     expansions: Vec<Expansion>,
     riccati: Riccati,
-    /// Number of its knots.
-    knots: usize,
     difference: DVector<f64>,
     /// Inputs after the last knot: none.
     none: Vec<f64>,
@@ -133,7 +132,7 @@ impl Nonlinear {
         let state = State::new(jets.len(), joints.len());
         let (n, m, knots) = (state.size(), jets.len() + joints.len(), KNOTS.len());
         let clearance = Clearance::new(mpc.clearance.as_ref(), robot, joints.len())?;
-        let flown = Motion { states: vec![state.clone(); knots + 1], inputs: vec![0.0; knots * m] };
+        let flown = Motion { knots, states: vec![state.clone(); knots + 1], inputs: vec![0.0; knots * m] };
         let no_plan = NonlinearPlan {
             motion: flown.clone(),
             steps: vec![0.0; knots * m],
@@ -142,7 +141,6 @@ impl Nonlinear {
             since: None,
             damping: DAMPING,
             knots_max: knots,
-            knots,
         };
         Ok(Self {
             no_plan,
@@ -150,7 +148,6 @@ impl Nonlinear {
             flown,
             expansions: vec![Expansion::new(n, m); knots + 1],
             riccati: Riccati::new(n, m),
-            knots,
             difference: DVector::zeros(n),
             none: vec![0.0; m],
             inputs: vec![0.0; m],
@@ -203,15 +200,16 @@ impl Nonlinear {
 
     /// Makes the flown motion the plan's, with the feedback that improves it; `false` without one.
     fn take(&mut self, cost: Option<f64>, plan: &mut NonlinearPlan) -> bool {
-        let Self { riccati, expansions, flown, knot, knots, inputs, .. } = self;
+        let Self { riccati, expansions, flown, knot, inputs, .. } = self;
         let Some(cost) = cost else { return false };
-        let (expansions, of_motion) = (&expansions[..=*knots], &flown.inputs[..*knots * inputs.len()]);
+        let (expansions, of_motion) =
+            (&expansions[..=flown.knots], &flown.inputs[..flown.knots * inputs.len()]);
         let feedback = (&mut *plan.steps, &mut *plan.gains);
         if !riccati.solve(expansions, of_motion, &knot.bounds, plan.damping, feedback) {
             return false;
         }
         std::mem::swap(&mut plan.motion, flown);
-        (plan.cost, plan.knots) = (cost, *knots);
+        plan.cost = cost;
         true
     }
 
@@ -258,12 +256,12 @@ impl Nonlinear {
         let (mut cost, mut begin) = (0.0, 0.0);
         self.flown.states[0].set_from(&world.now, &self.knot.joints);
         let is_high = self.flown.states[0].height > world.ground + ABOVE_GROUND;
-        self.knots = knots;
+        self.flown.knots = knots;
         for (knot, &duration) in KNOTS.iter().enumerate().take(knots) {
             let (before, after) = self.flown.states.split_at_mut(knot + 1);
             let (state, next) = (&before[knot], &mut after[0]);
             if is_high && state.height < world.ground {
-                self.knots = knot;
+                self.flown.knots = knot;
                 break;
             }
             let inputs = &mut self.flown.inputs[knot * m..(knot + 1) * m];
@@ -287,7 +285,8 @@ impl Nonlinear {
             }
             begin += duration;
         }
-        let (end, last) = ((&self.flown.states[self.knots], &*self.none), &mut self.expansions[self.knots]);
+        let knots = self.flown.knots;
+        let (end, last) = ((&self.flown.states[knots], &*self.none), &mut self.expansions[knots]);
         self.knot.advance(aero, world, end, (0.0, TAIL), &mut self.state, last)?;
         cost += last.cost;
         (cost.is_finite() && cost <= most).then_some(cost)
@@ -296,7 +295,7 @@ impl Nonlinear {
 
 impl NonlinearPlan {
     fn ends_well(&self) -> bool {
-        let end = &self.motion.states[self.knots];
+        let end = &self.motion.states[self.motion.knots];
         end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT
     }
 
@@ -306,8 +305,8 @@ impl NonlinearPlan {
         let m = inputs.len();
         inputs.fill(0.0);
         let (mut start, mut found) = (0.0, None);
-        for (place, length) in KNOTS.iter().enumerate().take(self.knots) {
-            let is_last = place + 1 == self.knots;
+        for (place, length) in KNOTS.iter().enumerate().take(self.motion.knots) {
+            let is_last = place + 1 == self.motion.knots;
             let stop = if is_last { f64::INFINITY } else { start + length };
             let share = (end.min(stop) - begin.max(start)).max(0.0) / (end - begin);
             if share > 0.0 {
