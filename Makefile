@@ -189,8 +189,8 @@ lint-python: $(PACKAGES)
 
 bench: $(PACKAGES) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
 	cargo bench --locked --bench dynamics --bench aero
-	$(BIN)/python -m experiments.bench
-	$(BIN)/python -m experiments.bench_jax
+	$(BIN)/python -m experiments.tools.bench
+	$(BIN)/python -m experiments.tools.bench_jax
 
 figures: $(PACKAGES) ## fly the demo's flights, and draw every figure whose results are there
 	$(BIN)/jax-aero fly $(DEMO) --overwrite
@@ -201,10 +201,10 @@ figures: $(PACKAGES) ## fly the demo's flights, and draw every figure whose resu
 SWEEPS :=
 
 reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (half an hour of processor time)
-	$(BIN)/python -m experiments.reproduce $(SWEEPS) $(if $(SKIP),--skip $(SKIP)) $(if $(PUBLIC_TABLE),--table $(PUBLIC_TABLE))
+	$(BIN)/python -m experiments.report.reproduce $(SWEEPS) $(if $(SKIP),--skip $(SKIP)) $(if $(PUBLIC_TABLE),--table $(PUBLIC_TABLE))
 
 generated: $(PACKAGES) ## write what follows from types and kept results: schemas, types, pages
-	$(BIN)/python -m experiments.generated
+	$(BIN)/python -m experiments.tools.generated
 
 verify: $(PACKAGES) ## compare the crate with independent implementations and stored ticks
 	$(BIN)/jax-aero verify

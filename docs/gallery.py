@@ -18,12 +18,13 @@ from typing import Any
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from experiments import fly
 from jax_aero.base import places
 from jax_aero.base.files import read_json
-from paper_figs import style, tunnel
-from paper_figs.entry import Entry
-from paper_figs.figures import FIGURES
+from jax_aero.commands import fly
+from jax_aero.data import tables as measured
+from jax_aero.figures import style
+from jax_aero.figures.catalogue import FIGURES
+from jax_aero.figures.entry import Entry
 
 ROOT = Path(__file__).resolve().parents[1]
 SHOWN = re.compile(r"!\[[^\]]*\]\((?P<path>(?:img/(?:gallery/)?)?\w+\.png)\)")
@@ -135,7 +136,7 @@ def of_flight(flight: Mapping[str, Any]) -> list[Any]:
 
 def tables(entry: Entry) -> dict[str, str]:
     """Return the hashes of the tables that a figure shows."""
-    return dict(tunnel.hashes(*entry.tables))
+    return dict(measured.hashes(*entry.tables))
 
 
 if __name__ == "__main__":

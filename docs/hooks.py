@@ -14,11 +14,13 @@ from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 from mkdocs.utils import get_relative_url
 
-from experiments import schema, studies
-from experiments.report import command, kept, kept_tables
-from experiments.report import pictures as kept_pictures
-from experiments.sweep import columns
+from experiments.report import command, kept_pages
+from experiments.tools import schema
 from jax_aero import rust
+from jax_aero.commands import study as studies
+from jax_aero.figures import kept as kept_pictures
+from jax_aero.results import kept
+from jax_aero.sweep import columns
 
 EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(
@@ -45,7 +47,7 @@ SITE = {
     "experiments/studies": "studies/index.md",
     "experiments/report/paper.py": "paper.md",
     "configs/schema": schema.PAGE,
-    "experiments/sweep/columns.py": columns.PAGE,
+    "jax_aero/sweep/columns.py": columns.PAGE,
     "docs/results": "results/index.md",
 } | {f"docs/notebooks/{path.name}": f"notebooks/{path.stem}.md" for path in NOTEBOOKS}
 SITE |= {f"docs/results/{name}.json": f"results/{name}.md" for name in kept.names()}
@@ -114,7 +116,7 @@ def generated() -> dict[str, str]:
     pages["studies/index.md"] = "\n".join(
         ["# Studies", "", INDEX, "", "| `jax-aero study` | answers |", "|---|---|", *rows, ""]
     )
-    pages |= {f"results/{name}": text for name, text in kept_tables.pages().items()}
+    pages |= {f"results/{name}": text for name, text in kept_pages.pages().items()}
     pages |= {f"notebooks/{path.stem}.md": notebook(path) for path in NOTEBOOKS}
     return pages | {f"studies/{name}.md": study_page(name) for name in studies.names()}
 

@@ -1,3 +1,1 @@
-"""Flights, sweeps and studies by name: each turns a configuration into a folder of results."""
-
-from jax_aero.base.terminal import Refused as Refused
+"""Questions asked of the library: studies, and the report on the paper; `tools` are those of the repository."""

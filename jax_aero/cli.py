@@ -5,26 +5,19 @@
 
 from __future__ import annotations
 
-import argparse
-import importlib
-import itertools
 import os
-import re
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-import argcomplete
-
-from jax_aero.base import places
-from jax_aero.base.places import did_you_mean
+from jax_aero.base import checkout
+from jax_aero.base.arguments import Parser
 from jax_aero.base.terminal import CLOSED as CLOSED
 from jax_aero.base.terminal import INTERRUPTED as INTERRUPTED
 from jax_aero.base.terminal import REFUSED as REFUSED
-from jax_aero.base.terminal import missing_package, package_of, refuse, run_with_output
+from jax_aero.base.terminal import Refused, missing_package, package_of, refuse, run_with_output
 
 COMMANDS = {
     "fly": "fly experiments by name: jax-aero fly test2",
@@ -42,111 +35,178 @@ COMMANDS = {
     "robot": "make a robot of a URDF, or a mission of waypoints, to fly",
     "data": "read logs of a turbine, CFD tables and wind-tunnel files, fit coefficients",
     "train": "train an aerodynamic network, several of them, or search for its settings",
+    "rename": "write the new names of keys, values and outcomes into files",
     "cfd": "compute forces of the air with OpenFOAM, verify and compare them",
 }
 """What each command does."""
 
-FUNCTIONS = {
-    "fly": ("experiments.fly:main", "figs"),
-    "sweep": ("experiments.sweep.command:main", "sweeps"),
-    "challenge": ("experiments.challenge:main", "sweeps"),
-    "figures": ("paper_figs.command:main", "figs"),
-    "report": ("experiments.report.command:main", "sweeps"),
-    "report keep": ("experiments.report.keep:main", "sweeps"),
-    "view": ("jax_aero.view.cli:view", "view"),
-    "view video": ("jax_aero.view.cli:video", "view"),
-    "view snapshot": ("jax_aero.view.cli:snapshot", "view"),
-    "export": ("jax_aero.view.cli:export", "view,logs"),
-    "replay": ("experiments.replay:main", "logs"),
-    "identify": ("experiments.identify.command:main", "twin,logs"),
-    "study": ("experiments.studies:main", "view,symbolic"),
-    "air": ("experiments.air:main", "twin"),
-    "verify": ("jax_aero.verify.cli:main", "twin"),
-    "robot import": ("experiments.robot.command:main", "twin,symbolic"),
-    "robot waypoints": ("experiments.robot.waypoints:main", "sweeps"),
-    "data import-bench": ("experiments.data.import_bench:main", "twin"),
-    "data import-cfd": ("experiments.data.import_cfd:main", "twin"),
-    "data import-tunnel": ("experiments.data.import_tunnel:main", "twin"),
-    "data import-pressures": ("experiments.data.import_pressures:main", "twin"),
-    "data fit-aero": ("experiments.data.fit_aero:main", "fit"),
-    "train": ("experiments.training.command:main", "train"),
-    "train ensemble": ("experiments.training.ensemble:main", "train"),
-    "train search": ("experiments.training.search:main", "train"),
-    "cfd": ("experiments.cfd.command:main", "twin,sweeps"),
-    "cfd verify": ("experiments.cfd.verify:main", "twin,sweeps"),
-    "cfd flow": ("experiments.cfd.flow:main", "flow"),
-    "cfd compare": ("experiments.cfd.compare:main", "twin,sweeps"),
-    "cfd tunnel": ("experiments.cfd.tunnel:main", "twin,sweeps"),
-    "cfd taps": ("experiments.cfd.taps:main", "twin,sweeps"),
+NEEDS = {
+    "fly": "figs",
+    "sweep": "sweeps",
+    "challenge": "sweeps",
+    "figures": "figs",
+    "report": "sweeps",
+    "report keep": "sweeps",
+    "view": "view",
+    "view video": "view",
+    "view snapshot": "view",
+    "export": "view,logs",
+    "replay": "logs",
+    "identify": "twin,logs",
+    "study": "view,symbolic",
+    "air": "twin",
+    "verify": "twin",
+    "robot import": "twin,symbolic",
+    "robot waypoints": "sweeps",
+    "data import-bench": "twin",
+    "data import-cfd": "twin",
+    "data import-tunnel": "twin",
+    "data import-pressures": "twin",
+    "data fit-aero": "fit",
+    "train": "train",
+    "train ensemble": "train",
+    "train search": "train",
+    "cfd": "twin,sweeps",
+    "cfd verify": "twin,sweeps",
+    "cfd flow": "flow",
+    "cfd compare": "twin,sweeps",
+    "cfd tunnel": "twin,sweeps",
+    "cfd taps": "twin,sweeps",
+    "rename": "sweeps",
 }
-"""Function of each command and sub-command, and the extras of the package that it needs."""
+"""Extras of the package that each command and sub-command needs."""
 
 
-class Parser(argparse.ArgumentParser):
-    """Argument parser of a sub-command that suggests corrections of mistyped words and supports Tab completion."""
+def function_of(command: str) -> Callable[[Sequence[str]], int | None]:
+    """Return the function of a command or sub-command; its module is imported here, so that no other waits for it."""
+    match command:
+        case "fly":
+            from jax_aero.commands import fly
 
-    def __init__(self, command: str, about: str | None, **more: Any) -> None:
-        super().__init__(
-            prog=f"jax-aero {command}".strip(),
-            description=about,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            **more,
-        )
-        self.register("type", Path, _path)
-        # No option begins with a digit or is an axis, so these mark values, such as `-90:90:10` and `-x`.
-        self._negative_number_matcher = re.compile(r"-(\.?\d|[xyz]$)")
+            return fly.main
+        case "sweep":
+            from jax_aero.commands import sweep
 
-    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Return the arguments; an argument that cannot be parsed ends the program with status 2."""
-        argcomplete.autocomplete(self)
-        words = sys.argv[1:] if args is None else list(args)
-        options = [option for option in self._option_string_actions if option.startswith("--")]
-        # Before parsing, since a mistyped required option would be reported as missing.
-        for word in itertools.takewhile(lambda word: word != "--", words):
-            name = word.partition("=")[0]
-            if name.startswith("--") and not any(option.startswith(name) for option in options):
-                self.error(f"`{name}` is not understood{did_you_mean(name, options)}")
-        given, unknown = self.parse_known_args(words, namespace)
-        if unknown:
-            self.error(f"`{unknown[0]}` is not understood")
-        return given
+            return sweep.main
+        case "challenge":
+            from jax_aero.commands import challenge
 
-    def _print_message(self, message: str, file: Any = None) -> None:
-        print(message, end="", file=file or sys.stderr)  # argparse itself ignores a closed pipe
+            return challenge.main
+        case "figures":
+            from jax_aero.commands import figures
 
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        if action.choices is not None and value not in action.choices:
-            raise argparse.ArgumentError(action, f"`{value}` is unknown{did_you_mean(str(value), action.choices)}")
+            return figures.main
+        case "report":
+            return checkout.load("experiments.report.command").main  # type: ignore[no-any-return]
+        case "report keep":
+            from jax_aero.results import keep
 
+            return keep.main
+        case "view":
+            from jax_aero.commands import view
 
-def _path(text: str) -> Path:
-    """Convert an argument of `type=Path`; an empty text is refused, not taken as the current folder."""
-    if not text:
-        raise argparse.ArgumentTypeError("the path is empty; expected a file or folder")
-    return Path(text)
+            return view.view
+        case "view video":
+            from jax_aero.commands import view
 
+            return view.video
+        case "view snapshot":
+            from jax_aero.commands import view
 
-def count(text: str) -> int:
-    """Convert an argument of `type=count` to a number of at least one."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"`{text}`; expected an integer ≥ 1")
-    return int(text)
+            return view.snapshot
+        case "export":
+            from jax_aero.commands import view
 
+            return view.export
+        case "replay":
+            from jax_aero.commands import replay
 
-def add_name(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add `--name`, the name of the result; `default` states what it is otherwise."""
-    parser.add_argument("--name", dest="named", type=_name, metavar="NAME", help=f"name of the result ({default})")
+            return replay.main
+        case "identify":
+            from jax_aero.commands import identify
 
+            return identify.main
+        case "study":
+            from jax_aero.commands import study
 
-def _name(text: str) -> str:
-    if not re.fullmatch(places.NAME, text):
-        raise argparse.ArgumentTypeError(f"`{text}`; expected a letter or digit, then any characters but /")
-    return text
+            return study.main
+        case "air":
+            from jax_aero.commands import air
 
+            return air.main
+        case "verify":
+            from jax_aero.commands import verify
 
-def complete_with(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:
-    """Offer these words for Tab completion of an argument."""
-    setattr(action, "completer", lambda **_: words())  # noqa: B010 - an attribute that argcomplete reads
+            return verify.main
+        case "robot import":
+            from jax_aero.commands import robot
+
+            return robot.main
+        case "robot waypoints":
+            from jax_aero.robot import waypoints
+
+            return waypoints.main
+        case "data import-bench":
+            from jax_aero.data import import_bench
+
+            return import_bench.main
+        case "data import-cfd":
+            from jax_aero.data import import_cfd
+
+            return import_cfd.main
+        case "data import-tunnel":
+            from jax_aero.data import import_tunnel
+
+            return import_tunnel.main
+        case "data import-pressures":
+            from jax_aero.data import import_pressures
+
+            return import_pressures.main
+        case "data fit-aero":
+            from jax_aero.data import fit_aero
+
+            return fit_aero.main
+        case "train":
+            from jax_aero.commands import train
+
+            return train.main
+        case "train ensemble":
+            from jax_aero.train import ensemble
+
+            return ensemble.main
+        case "train search":
+            from jax_aero.train import search
+
+            return search.main
+        case "cfd":
+            from jax_aero.commands import cfd
+
+            return cfd.main
+        case "cfd verify":
+            from jax_aero.cfd import verify as cfd_verify
+
+            return cfd_verify.main
+        case "cfd flow":
+            from jax_aero.cfd import flow as cfd_flow
+
+            return cfd_flow.main
+        case "cfd compare":
+            from jax_aero.cfd import compare as cfd_compare
+
+            return cfd_compare.main
+        case "cfd tunnel":
+            from jax_aero.cfd import tunnel as cfd_tunnel
+
+            return cfd_tunnel.main
+        case "cfd taps":
+            from jax_aero.cfd import taps as cfd_taps
+
+            return cfd_taps.main
+        case "rename":
+            from jax_aero.commands import rename
+
+            return rename.main
+    raise KeyError(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -158,7 +218,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    """Run a command. Its module is imported here, so that no other command waits for it."""
+    """Run a command."""
     try:
         Path.cwd()
     except FileNotFoundError:
@@ -168,25 +228,25 @@ def _run(words: Sequence[str]) -> int:
         _parser().parse_args(words)
         print(_help())
         return 0 if words else REFUSED
-    if rest and f"{name} {rest[0]}" in FUNCTIONS:
-        function, needed = FUNCTIONS[f"{name} {rest.pop(0)}"]
-    elif name in FUNCTIONS:
-        function, needed = FUNCTIONS[name]
+    if rest and f"{name} {rest[0]}" in NEEDS:
+        command = f"{name} {rest.pop(0)}"
+    elif name in NEEDS:
+        command = name
     else:
         return _choose(name, rest)
     try:
-        module, attribute = function.split(":")
-        work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), attribute)
-        return work(rest) or 0
+        return function_of(command)(rest) or 0
     except ModuleNotFoundError as missing:
         if package_of(missing) in ("", "jax_aero", "experiments", "paper_figs"):
             raise  # no extra brings a module of ours
-        return refuse(missing_package(f"`{name}`", missing, needed))
+        return refuse(missing_package(f"`{name}`", missing, NEEDS[command]))
+    except Refused as reason:
+        return refuse(str(reason))
 
 
 def _parts(name: str) -> list[str]:
     """Return the sub-commands of a command."""
-    return [part for command, _, part in (words.partition(" ") for words in FUNCTIONS) if command == name and part]
+    return [part for command, _, part in (words.partition(" ") for words in NEEDS) if command == name and part]
 
 
 def _choose(name: str, words: Sequence[str]) -> int:
@@ -237,6 +297,6 @@ def _words_before_cursor() -> list[str]:
     words = shlex.split(line + "_")[1:]  # the suffix preserves an empty last word
     if len(words) < 2:
         return []
-    has_part = len(words) > 2 and (words[0] == "study" or f"{words[0]} {words[1]}" in FUNCTIONS)
+    has_part = len(words) > 2 and (words[0] == "study" or f"{words[0]} {words[1]}" in NEEDS)
     os.environ["_ARGCOMPLETE"] = "3" if has_part else "2"
     return words[: 1 + has_part]

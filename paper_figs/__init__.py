@@ -1,1 +1,1 @@
-"""Draw the paper's figures from result folders: `jax-aero figures NAME`. Only reads files, never simulates."""
+"""Figures of the paper, a file for each, found by `jax-aero figures`. They read files and never simulate."""

@@ -15,8 +15,9 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from jax_aero.base.terminal import missing_package
-from paper_figs import style
-from paper_figs.runs import MissingRun
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
+from jax_aero.figures.runs import MissingRun
 
 VIEW = 0.9
 """Half the height of the pictures in the plane [m]."""
@@ -118,3 +119,19 @@ def plotter() -> Any:
             "or `libosmesa6`"
         )
     return found
+
+
+FIGURES = {
+    "cfd_flow": Entry(
+        draw,
+        "Fig. 3 c-f of our own flow: surface pressure, streamlines, plane of symmetry",
+        "cfd_flow",
+        ("flight30",),
+    ),
+    "cfd_meshes": Entry(
+        meshes,
+        "Suppl. Fig. 5: speed around the robot on three meshes of ours",
+        "cfd_flow",
+        ("flight30_coarse", "flight30", "flight30_fine"),
+    ),
+}

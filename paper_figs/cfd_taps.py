@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
-from paper_figs import style
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 SEEN = 0.1
 """Least cosine between the normal of a tap that is drawn and the direction to the viewer."""
@@ -76,3 +77,10 @@ def _by_link(axes: Axes, study: xr.Dataset) -> None:
     axes.set(xlabel="pressure coefficient, tunnel", ylabel="flow", xlim=(-2.6, 1.2), ylim=(-2.6, 1.2))
     axes.set_aspect("equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), markerscale=2.5)
+
+
+FIGURES = {
+    "cfd_taps": Entry(
+        draw, "Suppl. Fig. 2: pressures at the taps, wind tunnel and our flow", "cfd_taps", ("mk1_taps",)
+    ),
+}

@@ -7,7 +7,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs import style
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 DRAG = r"$C_D A$ [m$^2$]"
 NORMAL = r"$C_N A$ [m$^2$]"
@@ -85,3 +86,8 @@ def _points(axes: Axes, study: xr.Dataset, links: list[str], name: str, colour: 
         rasterized=True,
         label=label,
     )
+
+
+FIGURES = {
+    "fig4_fit": Entry(draw, "Fig. 4 d, e: the axisymmetric model over the CFD", "fit_aero", ("freestream",)),
+}

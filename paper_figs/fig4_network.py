@@ -11,7 +11,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs import style
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 LINK = "head"
 SPLITS = (("random", "random rows held out"), ("grouped", "whole postures held out"))
@@ -73,3 +74,8 @@ def _cloud(axes: Axes, angle: Values, area: Values, colour: str, label: str) -> 
         label=label,
         rasterized=True,
     )
+
+
+FIGURES = {
+    "fig4_network": Entry(draw, "Fig. 4 a-c: the network's drag of the head, two splits", "training", ("compact",)),
+}

@@ -11,7 +11,8 @@ from __future__ import annotations
 import xarray as xr
 from matplotlib.figure import Figure
 
-from paper_figs import panels, style
+from jax_aero.figures import panels, style
+from jax_aero.figures.entry import Entry
 
 
 def draw(first: xr.Dataset, second: xr.Dataset) -> Figure:
@@ -33,3 +34,11 @@ def draw(first: xr.Dataset, second: xr.Dataset) -> Figure:
     for axes in figure.axes:
         axes.set_xlim(0.0, end)
     return figure
+
+
+FIGURES = {
+    "fig5": Entry(draw, "Fig. 5 b-i: one mission flown twice", "flight", ("test2", "test1")),
+    "fig5_robustness": Entry(
+        draw, "Fig. 5 b-i as the paper fills it: TEST4, robustness", "flight", ("test4", "robustness")
+    ),
+}

@@ -18,7 +18,8 @@ from matplotlib.figure import Figure, FigureBase
 
 from jax_aero.base import flights, places
 from jax_aero.base.quantities import shown
-from paper_figs import panels, style
+from jax_aero.figures import panels, style
+from jax_aero.figures.entry import Entry
 
 RECORDS = {"balancing_front": "standing_front_2", "balancing_lateral": "standing_lateral"}
 """The record of the run of a name, and of one that begins with it."""
@@ -104,3 +105,13 @@ def _pale(axes: Axes, record: dict[str, Any], colours: dict[str, str]) -> None:
     for column, colour in colours.items():
         if column in record:
             axes.plot(record["time"], record[column], color=colour, **PALE)
+
+
+FIGURES = {
+    "fig6": Entry(
+        draw,
+        "Fig. 6 a-l: ground experiments in frontal and lateral wind",
+        "flight",
+        ("balancing_front_as_flown", "balancing_lateral_as_flown"),
+    ),
+}

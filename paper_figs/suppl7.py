@@ -8,7 +8,8 @@ from __future__ import annotations
 import xarray as xr
 from matplotlib.figure import Figure
 
-from paper_figs import panels, style
+from jax_aero.figures import panels, style
+from jax_aero.figures.entry import Entry
 
 
 def draw(*runs: xr.Dataset) -> Figure:
@@ -22,3 +23,12 @@ def draw(*runs: xr.Dataset) -> Figure:
     for axes in figure.axes:
         axes.set_xlim(0.0, end)
     return figure
+
+
+TESTS = ("test1", "test2", "test3", "robustness")
+FIGURES = {
+    "suppl7": Entry(draw, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; corrected arms", "flight", TESTS),
+    "suppl7_published": Entry(
+        draw, "Suppl. Fig. 7; published arms", "flight", tuple(f"{name}_published" for name in TESTS)
+    ),
+}

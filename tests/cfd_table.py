@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.data import cfd, fit
-from experiments.data.ironcub import JOINTS, LINKS
 from jax_aero.aero.dataset import Dataset, tunnel_from_base, wind_direction
+from jax_aero.data import cfd, fit
+from jax_aero.data.ironcub import JOINTS, LINKS
 
 Array = NDArray[np.float64]
 Row = tuple[str, float, float, Array]

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments import record
-from experiments.flight import identity_of
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.result import FlightResult, labels_of
+from jax_aero.results import record
+from jax_aero.results.flight import identity_of
 
 pytest_plugins = ["tests.measurements"]
 
@@ -102,7 +102,7 @@ def start() -> Iterator[Callable[..., subprocess.Popen[Any]]]:
 def stopped_sweep(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, int, Path], None]:
     """Fly a sweep (`Design`) into a folder until some of its chunks are there."""
     # Needs a package that the tests of the core do not.
-    from experiments.sweep import run
+    from jax_aero.sweep import run
 
     flown = run._fly_chunks
 

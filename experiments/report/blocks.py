@@ -26,14 +26,15 @@ from typing import Any
 
 import msgspec
 
-from experiments import Refused, studies
-from experiments.report import kept, kept_tables
-from experiments.report.kept_tables import Names, Rows, Value, by_heading, of_columns, one
 from experiments.report.page import table
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.quantities import shown
 from jax_aero.base.result import ending
+from jax_aero.base.terminal import Refused
+from jax_aero.commands import study as studies
+from jax_aero.results import kept, kept_tables
+from jax_aero.results.kept_tables import Names, Rows, Value, by_heading, of_columns, one
 
 BLOCK = re.compile(r"^<!-- table\n(?P<asks>.*?)^-->\n.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
 

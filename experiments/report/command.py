@@ -10,19 +10,20 @@ from pathlib import Path
 from msgspec.structs import replace
 
 import jax_aero
-from experiments import Refused, manifest
-from experiments.flight import PAPER_RUNS
-from experiments.report import judge, kept
+from experiments.report import judge, stored
 from experiments.report.judge import Finding, Kind, Verdict, whole
 from experiments.report.measures import files
 from experiments.report.page import literal, markdown, to_html
 from experiments.report.paper import Item, all_claims, all_items, sections
-from experiments.report.results import ANOTHER, Results
-from experiments.table import HEADINGS, outcome_row
+from experiments.report.results import Results
 from jax_aero.base import places
+from jax_aero.base.arguments import Parser
 from jax_aero.base.files import write_text
-from jax_aero.base.terminal import exit_status
-from jax_aero.cli import Parser
+from jax_aero.base.terminal import Refused, exit_status
+from jax_aero.results import manifest
+from jax_aero.results.flight import PAPER_RUNS
+from jax_aero.results.outdated import ANOTHER
+from jax_aero.results.table import HEADINGS, outcome_row
 
 DOCS = places.HOME / "docs"
 CLAIMS = DOCS / "claims.json"
@@ -190,15 +191,15 @@ def _sweep(results: Results, name: str) -> Mapping[str, object]:
 
 def documented() -> dict[str, Finding]:
     """Return the finding of every claim: kept, outdated if it is of another claim or configuration, or from files."""
-    stored, swept, nothing = judge.read(CLAIMS), kept.findings(), Results(DOCS)
+    known, swept, nothing = judge.read(CLAIMS), stored.findings(), Results(DOCS)
     found = {}
     for key, claim in all_claims().items():
         if key in swept:
             found[key] = swept[key]
-        elif key not in stored:
+        elif key not in known:
             found[key] = claim.find(nothing)
         else:
-            old = stored[key]
+            old = known[key]
             is_todays = old.identity == claim.identity
             found[key] = old if is_todays else replace(old, verdict=Verdict.of(Kind.OUTDATED, old.verdict.text))
     return found

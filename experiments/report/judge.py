@@ -18,17 +18,19 @@ from typing import Any
 
 import msgspec
 
-from experiments import Refused, manifest
-from experiments.identity import VERSIONS
 from experiments.report.measures import Cases, Measured, files, one, results
-from experiments.report.results import ANOTHER, NotFlownError, Results, StaleError
-from experiments.sweep import spec
-from experiments.sweep.criteria import Criterion
-from experiments.sweep.design import Design
+from experiments.report.results import NotFlownError, Results, StaleError
 from jax_aero import rust
 from jax_aero.base import places, tables
 from jax_aero.base.files import read_json
 from jax_aero.base.named import file_hash
+from jax_aero.base.terminal import Refused
+from jax_aero.results import manifest
+from jax_aero.results.identity import VERSIONS
+from jax_aero.results.outdated import ANOTHER
+from jax_aero.sweep import spec
+from jax_aero.sweep.criteria import Criterion
+from jax_aero.sweep.design import Design
 
 MEASURES = {"files": files, "results": results}
 """Modules of measures: the first needs committed files alone."""

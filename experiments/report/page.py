@@ -17,7 +17,7 @@ import jinja2
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from experiments.table import markdown_table
+from jax_aero.results.table import markdown_table
 
 ELSEWHERE = r"\s*(?:[^/)]*:|[/\\])"
 """Beginning of a link that is no relative path."""

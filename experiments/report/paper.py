@@ -15,11 +15,11 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from experiments import studies
 from experiments.report.judge import Claim, Kind, each, of_sweep, whole
-from experiments.sweep.criteria import Criterion
 from jax_aero.base import places, tables
-from paper_figs.figures import FIGURES, SWEEPS
+from jax_aero.commands import study as studies
+from jax_aero.figures.catalogue import FIGURES, SWEEPS
+from jax_aero.sweep.criteria import Criterion
 
 OURS = "Beyond the paper"
 

@@ -12,18 +12,18 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, outdated
 from jax_aero import rust
 from jax_aero.base import documents, flights, keys, places, run_file
 from jax_aero.base.files import find_damaged, read_json
 from jax_aero.base.parquet import read_rows
 from jax_aero.base.result import ending
+from jax_aero.base.terminal import Refused
+from jax_aero.results import outdated
+from jax_aero.results.outdated import ANOTHER
 from jax_aero.rust import SETTLING_TIME
 
 Cell: TypeAlias = Mapping[str, Any]
 
-ANOTHER = "made of another configuration or numerics than today's"
-"""Reason why a verdict is outdated, followed by the difference."""
 FAILED = "failed.json"
 """File of a results folder: the commands of `make reproduce` that failed, each with the reason."""
 WINDY = 3.0

@@ -22,8 +22,8 @@ HOME = CONFIGS.parent
 
 IS_CHECKOUT = (HOME / "rust").is_dir()
 
-STUDIES = Path(__file__).parents[2] / "experiments" / "studies"
-"""Folders of studies, with their configurations."""
+STUDIES = HOME / "experiments" / "studies"
+"""Folders of studies, with their configurations; there is none without a checkout."""
 
 RESULTS = Path("results") if not Path().exists() else (HOME if IS_CHECKOUT else Path.cwd()) / "results"
 

@@ -1,9 +1,9 @@
-"""Old names of keys, values and outcomes, with their new ones; `python -m experiments.rename` changes files.
+"""Old names of keys, values and outcomes, with their new ones; `jax-aero rename` changes files.
 
 >>> new_key(("controller", "engines", "confirmation"))
 ('controller', 'fault_detection', 'engines', 'confirmation')
 >>> hint("flight.toml: unknown key `controller.observer` (known: aero)")
-'; renamed to `controller.disturbance_observer`: python -m experiments.rename FILE'
+'; renamed to `controller.disturbance_observer`: jax-aero rename FILE'
 """
 
 from __future__ import annotations
@@ -74,5 +74,5 @@ def hint(message: str) -> str:
             OUTCOMES.get(old, old),
         }
         if new := found - {old}:
-            return f"; renamed to `{new.pop()}`: python -m experiments.rename FILE"
+            return f"; renamed to `{new.pop()}`: jax-aero rename FILE"
     return ""

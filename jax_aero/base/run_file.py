@@ -1,6 +1,6 @@
 """The one reader of `run.nc`, the file of a result: a dataset in SI units.
 
-`experiments.record` writes these files; `rust.signals` declares what those of flights hold.
+`jax_aero.results.record` writes these files; `rust.signals` declares what those of flights hold.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A difference is compared with the greatest entry of the crate's results. A quantity that vanishes, as a sum of terms
 that cancel, consists of rounding only: a difference may be as large as that rounding, which is measured as the change
-of the crate's result when every input changes by one rounding. `jax_aero.verify.cli` is the command line.
+of the crate's result when every input changes by one rounding. `jax_aero.commands.verify` is the command line.
 """
 
 from __future__ import annotations

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments import backends
-from experiments.identity import CRATE, VERSIONS, computed_by
-from jax_aero import rust
+from jax_aero import backends, rust
 from jax_aero.base import places
 from jax_aero.base.named import file_hash
+from jax_aero.results.identity import CRATE, VERSIONS, computed_by
 
 FOLDER, DIGESTS = Path(__file__).parent / "flights", Path(__file__).parent / "flights.json"
 JAX = "jax_test2"
@@ -43,7 +42,7 @@ class Digests(NamedTuple):
     """Digests that change with the numbers."""
 
     numerics: Mapping[str, int]
-    """Versions of the numbers of all flights (`experiments.identity`)."""
+    """Versions of the numbers of all flights (`jax_aero.results.identity`)."""
     flights: dict[str, list[str]]
     """Digests of configuration and numbers, by flight."""
 

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.identity import VERSIONS
 from jax_aero import rust
+from jax_aero.results.identity import VERSIONS
 from tests.golden import flights
 
 PLAIN_PROCESSOR = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ"

@@ -6,7 +6,7 @@ results of other numbers are distinguished (`make.py`). `tests/golden/README.md`
 
 import pytest
 
-from experiments.identity import VERSIONS
+from jax_aero.results.identity import VERSIONS
 from tests.golden import flights, make
 
 

@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 from docs import gallery
-from experiments import generated
-from experiments.report import command, judge, kept
+from experiments.report import command, judge
+from experiments.tools import generated
 from jax_aero import rust
 from jax_aero.base import places
-from paper_figs.figures import FIGURES
+from jax_aero.figures.catalogue import FIGURES
+from jax_aero.results import kept
 
 ROOT = Path(__file__).resolve().parents[2]
 

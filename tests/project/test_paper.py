@@ -6,19 +6,19 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from experiments import studies
-from experiments.fly import main as fly
 from experiments.report import command as report
-from experiments.report import judge, kept, paper
+from experiments.report import judge, paper, stored
 from experiments.report.command import CLAIMS as KEPT_CLAIMS
 from experiments.report.command import documented, index
 from experiments.report.judge import Kind
 from experiments.report.results import Results
 from jax_aero.cli import COMMANDS, main
-from paper_figs.figures import FIGURES, OURS, SWEEPS
+from jax_aero.commands import study as studies
+from jax_aero.commands.fly import main as fly
+from jax_aero.figures.catalogue import FIGURES, OURS, PAPER, SWEEPS
 
 ROOT = Path(__file__).resolve().parents[2]
-KEPT = judge.read(KEPT_CLAIMS) | kept.findings()
+KEPT = judge.read(KEPT_CLAIMS) | stored.findings()
 CLAIMS = paper.all_claims()
 ITEMS = paper.all_items()
 
@@ -47,7 +47,7 @@ def test_what_needs_results_is_kept_with_a_verdict_and_nothing_else_is():
     assert set(KEPT) == {key for key, claim in CLAIMS.items() if claim.commands}
     found = documented()
     outdated = {key for key, finding in found.items() if finding.verdict.kind is Kind.OUTDATED}
-    assert outdated == {key for key, claim in CLAIMS.items() if claim.is_of_sweep} - kept.findings().keys()
+    assert outdated == {key for key, claim in CLAIMS.items() if claim.is_of_sweep} - stored.findings().keys()
     assert {found[key].verdict.kind for key in found.keys() - outdated} <= {
         Kind.AGREES, Kind.IN_PART, Kind.DIFFERS, Kind.OUT_OF_REACH, Kind.NOT_COMPARED,
     }  # fmt: skip
@@ -69,7 +69,7 @@ def test_a_stored_verdict_is_of_its_claim_and_of_its_results(monkeypatch):
 
 
 def test_a_finding_is_kept_once():
-    assert not judge.read(KEPT_CLAIMS).keys() & kept.findings().keys()
+    assert not judge.read(KEPT_CLAIMS).keys() & stored.findings().keys()
 
 
 def test_every_item_of_the_paper_has_a_verdict():
@@ -96,13 +96,13 @@ def test_what_agrees_without_a_measurement_names_the_test_that_holds_it():
 def test_without_studies_nothing_of_the_table_names_one(monkeypatch):
     """As if the folders of all studies were deleted: figures of studies are not there either."""
     monkeypatch.setattr(studies, "names", list)
-    monkeypatch.setattr(paper, "FIGURES", {name: FIGURES[name] for name in OURS})
+    monkeypatch.setattr(paper, "FIGURES", {name: FIGURES[name] for name in PAPER | OURS})
     monkeypatch.setattr(paper, "all_claims", paper.all_claims.__wrapped__)
     sections = paper.sections.__wrapped__()
     commands = [command for items in sections.values() for item in items for command in item.commands]
     assert not [command for command in commands if command.startswith("jax-aero study")]
     shown = {item.figure for items in sections.values() for item in items} - {""}
-    assert shown == {*(name for name, entry in OURS.items() if not entry.is_of_any), *SWEEPS}
+    assert shown == {*(name for name, entry in (PAPER | OURS).items() if not entry.is_of_any), *SWEEPS}
     (battery,) = [item for item in sections["Numbers of the text"] if item.shows == "battery against fuel"]
     assert battery.claims == ("battery", "fuel")
 

@@ -20,13 +20,15 @@ from pathlib import Path
 
 import pytest
 
-from experiments import overrides, schema, studies
 from experiments.report import blocks as tables_of_pages
-from experiments.sweep import spec
-from experiments.sweep.design import Design
+from experiments.tools import schema
 from jax_aero import cli, rust
 from jax_aero.base import places, tables
-from paper_figs.figures import FIGURES
+from jax_aero.commands import study as studies
+from jax_aero.figures.catalogue import FIGURES
+from jax_aero.results import overrides
+from jax_aero.sweep import spec
+from jax_aero.sweep.design import Design
 from tests.project.test_docs import FENCE, ROOT, name
 
 PAGES = tables_of_pages.pages()

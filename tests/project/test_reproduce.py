@@ -6,8 +6,7 @@ import shutil
 import msgspec
 import pytest
 
-from experiments import reproduce
-from experiments.report import paper
+from experiments.report import paper, reproduce
 from experiments.report.command import check, documented
 from experiments.report.judge import AGREES, NOT_FLOWN, Kind, Verdict
 from experiments.report.results import Results

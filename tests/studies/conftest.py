@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from experiments import studies
+from jax_aero.commands import study as studies
 
 collect_ignore = [
     path.name

@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments import Refused, record
 from experiments.studies.along import study as along
 from jax_aero import rust
 from jax_aero.base import places, tables
 from jax_aero.base.files import write_netcdf
 from jax_aero.base.places import ROBOT
+from jax_aero.base.terminal import Refused
+from jax_aero.figures.catalogue import FIGURES
+from jax_aero.figures.runs import NotDrawn
+from jax_aero.results import record
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.trajectory import Consumption
-from paper_figs.figures import FIGURES
-from paper_figs.runs import NotDrawn
 
 POSTURE = [0.1, *[0.0] * 2, *[-0.17, 0.44, 0.7, 0.26] * 2, *[0.0] * 12]
 

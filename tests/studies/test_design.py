@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from experiments.identity import Identity
 from experiments.studies.design import campaign, robots, sensitivity, study
 from experiments.studies.design.campaign import Job
-from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.keys import get
+from jax_aero.results.identity import Identity
+from jax_aero.results.work import Work
 
 SAME = robots.draw(1, 1)[0]
 

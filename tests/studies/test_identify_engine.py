@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from experiments import Refused
-from experiments.data.import_bench import Bench
 from experiments.studies.identify_engine import shaft, study
 from jax_aero.base.tables import Interval
+from jax_aero.base.terminal import Refused
 from jax_aero.body.shaft import Ambient
+from jax_aero.data.import_bench import Bench
 
 MADE = {
     "idle": 0.25,

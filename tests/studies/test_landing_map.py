@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.robot import waypoints
 from experiments.studies.landing_map import figure
 from experiments.studies.landing_map import study as landing_map
 from jax_aero import rust
+from jax_aero.robot import waypoints
 
 ASKED = landing_map.LandingMap()
 

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import Refused
 from experiments.studies.nano_drone import study
 from jax_aero.base import places
+from jax_aero.base.terminal import Refused
 
 
 def test_columns_are_ours():

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.data.import_cfd import known_postures
-from experiments.data.ironcub import joint_position
 from experiments.studies.pictures import figure as pictures_figure
 from experiments.studies.pictures import study as pictures
 from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.base.files import write_netcdf
 from jax_aero.base.places import ROBOT
-from paper_figs.figures import FIGURES
+from jax_aero.data.import_cfd import known_postures
+from jax_aero.data.ironcub import joint_position
+from jax_aero.figures.catalogue import FIGURES
 
 
 def test_capsules_are_where_the_robots_file_has_them(agree):

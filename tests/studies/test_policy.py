@@ -12,8 +12,8 @@ from experiments.studies.policy import study as policy
 from jax_aero.base import places
 from jax_aero.base.terminal import ConfigError
 from jax_aero.env_task import Task
+from jax_aero.figures.catalogue import FIGURES
 from jax_aero.train.policy import Curve, TrainingResult, init_policy
-from paper_figs.figures import FIGURES
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.identity import Identity
 from experiments.studies.published_mpc import flight, model, plan, study
-from experiments.work import Work
 from jax_aero import own, rust
 from jax_aero.base import places
+from jax_aero.results.identity import Identity
+from jax_aero.results.work import Work
 
 THRUST, RATE = np.array([150.0, 171.0, 120.0, 165.0]), np.array([20.0, -30.0, 5.0, 40.0])
 THROTTLE = np.array([60.0, 70.0, 80.0, 50.0])

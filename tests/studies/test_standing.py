@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.replay import replay
 from experiments.studies.standing import study as standing
 from jax_aero import rust
+from jax_aero.replay import replay
 from jax_aero.view import logs
 
 TORQUE, FORCE, MOMENT = 0.5, 0.1, 0.3

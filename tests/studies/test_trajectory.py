@@ -11,15 +11,16 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from experiments import Refused, study
-from experiments.robot import waypoints
 from experiments.studies.trajectory import figure
 from experiments.studies.trajectory import study as experiment
 from jax_aero import rust
 from jax_aero.base import places, tables
+from jax_aero.base.terminal import Refused
+from jax_aero.figures.catalogue import FIGURES
+from jax_aero.results import study
+from jax_aero.robot import waypoints
 from jax_aero.symbolic import load_robot, trajectory
 from jax_aero.symbolic.trajectory import TrajectoryProblem, _lagrange, _lagrange_derivatives, _radau_weights
-from paper_figs.figures import FIGURES
 
 ROOT = Path(__file__).resolve().parents[2]
 PATH = ROOT / "experiments/studies/trajectory/min_time.toml"

@@ -9,14 +9,14 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from experiments import Refused
 from experiments.studies.trim import figure
 from experiments.studies.trim import study as experiment
 from jax_aero import rust
 from jax_aero.base import places
+from jax_aero.base.terminal import Refused
+from jax_aero.figures.catalogue import FIGURES
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.trim import Trim, TrimSettings
-from paper_figs.figures import FIGURES
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]

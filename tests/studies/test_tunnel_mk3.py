@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.data import fit
-from experiments.data.import_cfd import known_postures
-from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
-from experiments.data.ironcub import joint_position
 from experiments.studies.tunnel_mk3 import study as tunnel_mk3
 from jax_aero.aero.dataset import wind_direction
 from jax_aero.aero.posture import axes_of, link_axes, total_wrench
 from jax_aero.base.files import write_netcdf
 from jax_aero.body.robot import load_robot
+from jax_aero.data import fit
+from jax_aero.data.import_cfd import known_postures
+from jax_aero.data.import_tunnel import MK3, POSTURES_OF_MK3
+from jax_aero.data.ironcub import joint_position
 from tests.measurements import measured
 
 SUPPORT = 0.05

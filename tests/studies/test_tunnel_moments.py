@@ -5,18 +5,18 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from experiments import Refused
-from experiments.cfd import models
-from experiments.data import import_tunnel, tunnel
-from experiments.data.fit import predicted_areas
-from experiments.data.ironcub import joint_position
 from experiments.studies.tunnel_moments import figure
 from experiments.studies.tunnel_moments import study as tunnel_moments
 from jax_aero.aero import dataset
 from jax_aero.aero.posture import link_axes, rms_by_posture, total_wrench
 from jax_aero.base import tables
+from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import load_robot
-from paper_figs import model_pairs
+from jax_aero.cfd import models
+from jax_aero.data import import_tunnel, tunnel
+from jax_aero.data.fit import predicted_areas
+from jax_aero.data.ironcub import joint_position
+from jax_aero.figures import model_pairs
 from tests.units.test_tunnel import clone, gvp
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments import study
 from experiments.studies.wind_observer import study as wind_observer
 from jax_aero import rust
 from jax_aero.base import places
+from jax_aero.results import study
 
 
 def test_a_wind_is_judged_by_its_horizontal_components_when_it_has_risen():

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.data.ironcub import JOINTS, LINKS
 from jax_aero.aero.dataset import Dataset, wind_direction
 from jax_aero.body.robot import RobotModel, load_robot
+from jax_aero.data.ironcub import JOINTS, LINKS
 from tests import cfd_table
 
 ROOT = Path(__file__).parents[2]

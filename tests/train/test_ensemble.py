@@ -5,11 +5,11 @@ import json
 import numpy as np
 import xarray as xr
 
-from experiments.training import ensemble
 from jax_aero.aero.dataset import save
 from jax_aero.aero.network_card import load_network
 from jax_aero.base import places
 from jax_aero.cli import main
+from jax_aero.train import ensemble
 
 BASE = places.CONFIGS / "training" / "compact.toml"
 

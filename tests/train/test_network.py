@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.data.ironcub import JOINTS, LINKS
 from jax_aero.aero import network as N  # noqa: N812 (many of its functions are tested)
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.dataset import mirrored_joints
 from jax_aero.aero.network import init_network
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.kinematics import kinematics
+from jax_aero.data.ironcub import JOINTS, LINKS
 from jax_aero.types import State
 from tests.measurements import measured
 

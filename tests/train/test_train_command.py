@@ -12,17 +12,17 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from experiments import record
-from experiments.training import command, config
-from experiments.training.result import card_facts
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network
 from jax_aero.base import files, places, plain, tables
 from jax_aero.base.terminal import INTERRUPTED, Refused
 from jax_aero.body.robot import load_robot
 from jax_aero.cli import main
-from jax_aero.train import Interrupted, predict_areas
-from paper_figs.command import main as draw
+from jax_aero.commands import train as command
+from jax_aero.commands.figures import main as draw
+from jax_aero.results import record
+from jax_aero.train import Interrupted, config, predict_areas
+from jax_aero.train.result import card_facts
 from tests import cfd_table
 
 Found = namedtuple("Found", "error")
@@ -305,7 +305,7 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
 def search():
     """The module of searches, whose package is not always there."""
     pytest.importorskip("optuna", reason="optuna is not installed: make setup")
-    return importlib.import_module("experiments.training.search")
+    return importlib.import_module("jax_aero.train.search")
 
 
 @pytest.fixture
@@ -328,7 +328,7 @@ def test_an_interrupted_search_draws_what_it_would_have_drawn(small_search, tmp_
             raise KeyboardInterrupt
         return training.training.learning_rate
 
-    monkeypatch.setattr("experiments.training.search.error_of", stop_at_the_second)
+    monkeypatch.setattr("jax_aero.train.search.error_of", stop_at_the_second)
     assert main(small_search("stopped")) == INTERRUPTED
     assert capsys.readouterr().err == "interrupted; the same command goes on with the next trial\n"
     assert main(small_search("stopped")) == 0
@@ -347,7 +347,7 @@ def table_of(path):
 
 
 def test_a_search_replaces_no_other_result(small_search, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("experiments.training.search.error_of", lambda *_: 1.0)
+    monkeypatch.setattr("jax_aero.train.search.error_of", lambda *_: 1.0)
     record.write_run(tmp_path / "flight", xr.Dataset(), {})
     assert main(small_search("search")) == 0
     assert json.loads((tmp_path / "search" / "manifest.json").read_text())["name"] == "search"

@@ -6,14 +6,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments import air as command
-from experiments.data.import_cfd import known_postures
-from experiments.data.ironcub import joint_position
 from jax_aero import air, cli, rust
 from jax_aero.aero import aero_model
 from jax_aero.aero.posture import total_wrench
 from jax_aero.base import places
 from jax_aero.body.robot import load_robot
+from jax_aero.commands import air as command
+from jax_aero.data.import_cfd import known_postures
+from jax_aero.data.ironcub import joint_position
 from tests.measurements import measured
 
 

@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
-from experiments import Refused, backends
-from jax_aero import rust
+from jax_aero import backends, rust
+from jax_aero.base.terminal import Refused
 
 
 def test_an_unknown_engine_is_refused():

@@ -7,8 +7,9 @@ import sys
 
 import pytest
 
-from experiments import Refused, bench
+from experiments.tools import bench
 from jax_aero.base import files
+from jax_aero.base.terminal import Refused
 
 CALM = {f"{name} QP, calm, warm": time for name, time in (("momentum", 2e3), ("torque", 3e3))}
 SATURATED = {f"{name} QP, saturated, warm": time for name, time in (("momentum", 4e3), ("torque", 5e3))}
@@ -117,7 +118,7 @@ def test_a_program_that_fails_is_refused_with_its_last_words():
 @pytest.mark.parametrize("words", [["bench", "--turns", "0"], ["bench_jax", "--batch", "0"]])
 def test_nothing_is_not_measured(words, capsys):
     with pytest.raises(SystemExit):
-        importlib.import_module(f"experiments.{words[0]}").main(words[1:])
+        importlib.import_module(f"experiments.tools.{words[0]}").main(words[1:])
     assert f"{words[1]}: `0`; expected an integer ≥ 1" in capsys.readouterr().err
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import pytest
 
-from experiments import bench_jax
+from experiments.tools import bench_jax
 from jax_aero import rust, sim
 from jax_aero.base.typed import scenario_config
 

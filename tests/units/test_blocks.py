@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments import Refused
-from experiments.report import blocks, kept
+from experiments.report import blocks
+from jax_aero.base.terminal import Refused
+from jax_aero.results import kept
 from tests.units.test_kept import made_up
 
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments.sweep import spec
 from jax_aero import _core, rust
 from jax_aero.base import files, places
 from jax_aero.base.terminal import ConfigError
+from jax_aero.sweep import spec
 
 SPARROW = places.find("robot", "sparrow")
 

@@ -13,24 +13,6 @@ import pytest
 import pyvista
 import xarray as xr
 
-from experiments import identity, record
-from experiments.cfd import (
-    case,
-    command,
-    compare,
-    design,
-    flow,
-    foam,
-    geometry,
-    goals,
-    models,
-    settings,
-    simulate,
-    verify,
-)
-from experiments.data import import_cfd
-from experiments.data.ironcub import JOINTS, LINKS
-from experiments.training.result import held_out_network
 from jax_aero import rust
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.posture import total_wrench
@@ -39,10 +21,16 @@ from jax_aero.base.terminal import REFUSED, Refused
 from jax_aero.body import mesh
 from jax_aero.body.mirror import mirror_name
 from jax_aero.body.robot import load_robot
+from jax_aero.cfd import case, compare, design, flow, foam, geometry, goals, models, settings, simulate, verify
+from jax_aero.cfd import compute as command
+from jax_aero.commands.figures import main as figures
+from jax_aero.data import import_cfd
+from jax_aero.data.ironcub import JOINTS, LINKS
+from jax_aero.figures.catalogue import FIGURES
+from jax_aero.figures.runs import MissingRun
+from jax_aero.results import identity, record
+from jax_aero.train.result import held_out_network
 from paper_figs import cfd_flow
-from paper_figs.command import main as figures
-from paper_figs.figures import FIGURES
-from paper_figs.runs import MissingRun
 
 ROBOT = "configs/robot/ironcub_mk1.toml"
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.cfd import case, command, design, foam, geometry, settings, simulate, taps
-from experiments.data.import_cfd import known_postures
 from jax_aero import rust
 from jax_aero.base.terminal import Refused
+from jax_aero.cfd import case, design, foam, geometry, settings, simulate, taps
+from jax_aero.cfd import compute as command
+from jax_aero.data.import_cfd import known_postures
 from paper_figs import cfd_taps
 
 ROBOT = Path("configs/robot/ironcub_mk1.toml").resolve()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.cfd import tunnel
-from experiments.data.import_cfd import known_postures
-from experiments.data.ironcub import LINKS
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.posture import total_wrench
 from jax_aero.body.robot import load_robot
+from jax_aero.cfd import tunnel
+from jax_aero.data.import_cfd import known_postures
+from jax_aero.data.ironcub import LINKS
 from tests.cfd_table import made_up_dataset
 
 ROBOT = "configs/robot/ironcub_mk1.toml"

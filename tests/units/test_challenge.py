@@ -7,12 +7,13 @@ import json
 import pytest
 from msgspec import structs
 
-from experiments import Refused, challenge
-from experiments.report import kept, kept_tables
-from experiments.sweep import table
-from experiments.sweep.design import Design
-from experiments.sweep.spec import Level
 from jax_aero import own, rust
+from jax_aero.base.terminal import Refused
+from jax_aero.commands import challenge
+from jax_aero.results import kept, kept_tables
+from jax_aero.sweep import table
+from jax_aero.sweep.design import Design
+from jax_aero.sweep.spec import Level
 
 OWN = """
 import gc, sys

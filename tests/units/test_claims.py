@@ -6,17 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.flight import PAPER_RUNS
 from experiments.report import judge, paper
 from experiments.report.judge import AGREES, Kind, Verdict
 from experiments.report.measures import Measured, results
 from experiments.report.results import Sweep
-from experiments.sweep import columns, spec, table
-from experiments.sweep.criteria import Criterion, Share
-from experiments.sweep.intervals import wilson
 from jax_aero.base import places
 from jax_aero.base.result import LOST
 from jax_aero.base.terminal import ConfigError
+from jax_aero.results.flight import PAPER_RUNS
+from jax_aero.sweep import columns, spec, table
+from jax_aero.sweep.criteria import Criterion, Share
+from jax_aero.sweep.intervals import wilson
 
 CLAIMS = paper._table().claim
 

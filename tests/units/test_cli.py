@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments import studies
 from jax_aero import cli, rust
 from jax_aero.base import places
 from jax_aero.base.terminal import exit_status, progress_bar
+from jax_aero.commands import study as studies
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -28,14 +28,10 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 CONFIGURED = [name for name in studies.names() if places.names(name)]
 """Studies with configurations."""
 
-FUNCTIONS = set(cli.FUNCTIONS.values())
-"""Function and extras of every command and sub-command."""
 
-
-@pytest.mark.parametrize(("function", "extras"), sorted(FUNCTIONS))
-def test_every_command_exists_and_names_an_extra(function, extras):
-    module, name = function.split(":")
-    assert callable(getattr(importlib.import_module(module), name))
+@pytest.mark.parametrize(("command", "extras"), cli.NEEDS.items())
+def test_every_command_exists_and_names_an_extra(command, extras):
+    assert callable(cli.function_of(command))
     assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])
 
 
@@ -84,10 +80,12 @@ def packages_in(extras: str) -> set[str]:
     return packages
 
 
-@pytest.mark.parametrize(("function", "extras"), sorted(FUNCTIONS))
-def test_the_extras_of_a_command_bring_what_it_imports(function, extras):
+@pytest.mark.parametrize(("command", "extras"), cli.NEEDS.items())
+def test_the_extras_of_a_command_bring_what_it_imports(command, extras):
     """Otherwise the hint after a missing package would not help."""
-    assert packages_of(function.split(":")[0]) <= packages_in(extras)
+    function = cli.function_of(command)
+    of = function.__self__.compute if hasattr(function, "__self__") else function  # of a `Study`
+    assert packages_of(of.__module__) <= packages_in(extras)
 
 
 def test_the_package_installs_the_command():
@@ -133,14 +131,14 @@ def test_ctrl_c_and_a_missing_package_are_one_line(monkeypatch, capsys):
     def interrupt(words):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("paper_figs.command.main", interrupt)
+    monkeypatch.setattr("jax_aero.commands.figures.main", interrupt)
     assert cli.main(["figures"]) == cli.INTERRUPTED
     assert capsys.readouterr().err == "interrupted\n"
 
     def lack_package(words):
         raise ModuleNotFoundError("No module named 'tqdm.auto'", name="tqdm.auto")
 
-    monkeypatch.setattr("experiments.fly.main", lack_package)
+    monkeypatch.setattr("jax_aero.commands.fly.main", lack_package)
     assert cli.main(["fly", "test1"]) == cli.REFUSED
     assert capsys.readouterr().err == "error: `fly` needs the package `tqdm`: pip install 'jax-aero[figs]'\n"
 
@@ -154,7 +152,7 @@ def test_what_a_terminal_would_obey_is_shown(monkeypatch, capsys):
             show(1, 2)
         raise OSError(2, "No such file", "a\r\u202eb\x7f")
 
-    monkeypatch.setattr("paper_figs.command.main", tell)
+    monkeypatch.setattr("jax_aero.commands.figures.main", tell)
     assert cli.main(["figures"]) == cli.REFUSED
     said = capsys.readouterr()
     assert said.out == "\\x1b[2J\\x9b31m é\t1\n"
@@ -228,8 +226,8 @@ def test_results_go_to_the_clone_or_without_one_to_the_current_folder(is_clone, 
 @pytest.mark.parametrize("words", [["--help"], ["fly", "--help"], ["fly"]])
 def test_a_closed_pipe_ends_a_command_as_its_signal_would(words, size, monkeypatch, capsys):
     """A shell reports 128 and the number of the signal, whether a print or the last flush meets the closed pipe."""
-    monkeypatch.setattr("experiments.fly.__doc__", "x" * size)
-    monkeypatch.setattr("experiments.study.print_titles", lambda _: exit_status(lambda: print("x" * size)))
+    monkeypatch.setattr("jax_aero.commands.fly.__doc__", "x" * size)
+    monkeypatch.setattr("jax_aero.results.study.print_titles", lambda _: exit_status(lambda: print("x" * size)))
     reader, writer = os.pipe()
     os.close(reader)
     with open(writer, "w", encoding="utf-8") as stream:  # noqa: PTH123 - a descriptor
@@ -250,7 +248,7 @@ def test_characters_that_the_output_cannot_show_are_replaced(encoding, shown, mo
     """Among them bytes of a file's name that are not UTF-8."""
     stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
     monkeypatch.setattr(sys, "stdout", stream)
-    monkeypatch.setattr("paper_figs.command.main", lambda _: print("α m² \udc80"))
+    monkeypatch.setattr("jax_aero.commands.figures.main", lambda _: print("α m² \udc80"))
     assert cli.main(["figures"]) == 0
     assert stream.buffer.getvalue().decode(encoding) == shown
 

@@ -7,11 +7,11 @@ import h5py
 import numpy as np
 import pytest
 
-from experiments.data.ironcub import JOINTS, LINKS
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.dataset import Dataset
 from jax_aero.base import places
 from jax_aero.body.robot import load_robot
+from jax_aero.data.ironcub import JOINTS, LINKS
 from tests.cfd_table import in_tunnel_axes, made_up_dataset
 
 ROBOT = load_robot(places.ROBOT)

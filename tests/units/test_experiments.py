@@ -7,13 +7,13 @@ import warnings
 import pytest
 import xarray as xr
 
-from experiments import flight as runner
-from experiments import manifest
-from experiments.fly import main
-from experiments.table import outcome_table
 from jax_aero import cli, rust
 from jax_aero.base import places, terminal
 from jax_aero.base.result import ending
+from jax_aero.commands.fly import main
+from jax_aero.results import flight as runner
+from jax_aero.results import manifest
+from jax_aero.results.table import outcome_table
 
 
 @pytest.fixture

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.cfd import models
-from experiments.data import fit, fit_aero, import_cfd
-from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
-from experiments.data.ironcub import JOINTS, LINKS, joint_position
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.posture import link_axes, link_frames
 from jax_aero.base import places
 from jax_aero.body.robot import load_robot
-from paper_figs.figures import FIGURES
+from jax_aero.cfd import models
+from jax_aero.data import fit, fit_aero, import_cfd
+from jax_aero.data.import_tunnel import MK3, POSTURES_OF_MK3
+from jax_aero.data.ironcub import JOINTS, LINKS, joint_position
+from jax_aero.figures.catalogue import FIGURES
 from tests.cfd_table import made_up_dataset, modelled_rows, solver_table
 from tests.measurements import measured
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import backends, record
 from experiments.report.measures.standing import standing as measure
-from jax_aero import rust
+from jax_aero import backends, rust
 from jax_aero.base.files import write_netcdf
+from jax_aero.commands.figures import main as draw
 from jax_aero.mujoco import ground
 from jax_aero.mujoco.ground import GroundPlant, begin, fly
+from jax_aero.results import record
 from jax_aero.rust import MODES
-from paper_figs.command import main as draw
 
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
 DRY = {"simulator.motors.friction_of": {}, "simulator.motors.load_friction": {}}

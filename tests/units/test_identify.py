@@ -11,15 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import fly
-from experiments.identify import command, excite, result, samples, verdict
-from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
 from jax_aero.aero import Axisymmetric
 from jax_aero.base import places, plain, tables
 from jax_aero.base.places import CONFIGS
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import exp_so3
+from jax_aero.commands import fly
+from jax_aero.commands import identify as command
+from jax_aero.identify import excite, result, samples, verdict
+from jax_aero.sweep.perturbation import Perturbation
 from jax_aero.train import identify
 
 SPARROW = CONFIGS / "robot" / "sparrow.toml"

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import Refused
-from experiments.identify import command, samples
-from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
+from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import wxyz_from_rotation
+from jax_aero.commands import identify as command
+from jax_aero.identify import samples
+from jax_aero.sweep.perturbation import Perturbation
 from tests.units import test_any_robot
 
 SENSORS = {

@@ -2,10 +2,10 @@
 
 import pytest
 
-from experiments import identity
-from experiments.identity import CRATE, PYTHON, Identity
-from experiments.work import Work
 from jax_aero.base import kinds, places
+from jax_aero.results import identity
+from jax_aero.results.identity import CRATE, PYTHON, Identity
+from jax_aero.results.work import Work
 
 
 @pytest.fixture

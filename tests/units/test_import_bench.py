@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from experiments import Refused
-from experiments.data import import_bench
-from experiments.data.import_bench import load_bench, read_bench
+from jax_aero.base.terminal import Refused
+from jax_aero.data import import_bench
+from jax_aero.data.import_bench import load_bench, read_bench
 
 TABLE = """time_s,speed_rpm,thrust_n,clipped
 0.0,33000,12.5,0

@@ -5,11 +5,11 @@ import subprocess
 import numpy as np
 import pytest
 
-from experiments.data import cfd, fit_aero, import_cfd
-from experiments.data.ironcub import JOINTS, LINKS, joint_position
 from jax_aero.aero import dataset
 from jax_aero.aero.posture import link_axes
 from jax_aero.body.robot import load_robot
+from jax_aero.data import cfd, fit_aero, import_cfd
+from jax_aero.data.ironcub import JOINTS, LINKS, joint_position
 from tests.cfd_table import CFD_COLUMNS, in_tunnel_axes, modelled_rows, solver_table
 from tests.measurements import measured
 

@@ -13,15 +13,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from experiments import Refused
-from experiments.robot import command, flight, masses, scenario, shapes, skeleton
 from jax_aero import rust
 from jax_aero.base import places, plain
 from jax_aero.base.result import FlightResult
+from jax_aero.base.terminal import Refused
 from jax_aero.body import mesh
 from jax_aero.body.robot import load_robot as load_twin
 from jax_aero.body.urdf import IDENTITY, read_urdf
+from jax_aero.commands import robot as command
 from jax_aero.mujoco.model import mujoco_model, order_of
+from jax_aero.robot import flight, masses, scenario, shapes, skeleton
 from jax_aero.symbolic import load_robot
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*(limits_deg|is a guess|guess):UserWarning")

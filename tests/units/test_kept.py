@@ -7,14 +7,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import Refused, backends, manifest
-from experiments.report import keep, kept, kept_tables, pictures
+from experiments.report import kept_pages, paper, stored
 from experiments.report.judge import Kind
-from experiments.report.kept import Axis, Kept
-from experiments.sweep import spec
-from experiments.sweep.design import Design
-from experiments.sweep.intervals import wilson
+from jax_aero import backends
 from jax_aero.base.result import UPRIGHT
+from jax_aero.base.terminal import Refused
+from jax_aero.figures import kept as pictures
+from jax_aero.results import keep, kept, kept_tables, manifest
+from jax_aero.results.kept import Axis, Kept
+from jax_aero.sweep import spec
+from jax_aero.sweep.design import Design
+from jax_aero.sweep.intervals import wilson
 
 AXES = [Axis("controller", "controller", "", ["a", "b"]), Axis("speed", "wind speed", "m/s", [0.0, 10.0])]
 
@@ -110,7 +113,7 @@ def made_up(**more):
 
 
 def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
-    text = kept_tables.page(made_up())
+    text = kept_pages.page(made_up())
     rotation, position = (
         f"{name} error, median [{unit}] | {name} error, greatest [{unit}]"
         for name, unit in (("rotation", "°"), ("position", "cm"))
@@ -142,26 +145,26 @@ def test_what_is_kept_is_read_again(tmp_path, monkeypatch):
     monkeypatch.setattr(kept, "FOLDER", tmp_path)
     kept.read.cache_clear()
     assert kept.read("made_up") == document
-    assert kept.findings() == {}
+    assert stored.findings() == {}
     kept.read.cache_clear()
 
 
 def test_a_kept_verdict_is_that_of_its_rows_by_the_present_claims_of_the_present_sweep(monkeypatch):
     """The judge, a bound or a configuration that changes changes it: nothing of it is kept."""
     document = kept.read("robot_mission_loss")
-    assert {one.verdict.kind for one in document.claims.values()} <= {Kind.AGREES, Kind.DIFFERS, Kind.IN_PART}
+    assert {one.verdict.kind for one in stored.claims(document).values()} <= {Kind.AGREES, Kind.DIFFERS, Kind.IN_PART}
     place = {name: document.columns.index(name) for name in ("completed", "landed", "lost", "flights")}
     rows = [[*row] for row in document.rows]
     for row in rows:
         row[place["completed"]] = row[place["landed"]] = 0
         row[place["lost"]] = row[place["flights"]]
     fallen = msgspec.structs.replace(document, rows=rows)
-    assert {one.verdict.kind for one in fallen.claims.values()} == {Kind.DIFFERS}
+    assert {one.verdict.kind for one in stored.claims(fallen).values()} == {Kind.DIFFERS}
     other = msgspec.structs.replace(document, digest="of c0 = 5")
-    assert {one.verdict.kind for one in other.claims.values()} == {Kind.OUTDATED}
-    strict = {key: replace_most(one, 0.0) for key, one in document.stated.items()}
-    monkeypatch.setattr(kept.paper, "stated", lambda _: tuple(strict.values()))
-    assert document.claims["mission_loss"].verdict.kind is Kind.DIFFERS
+    assert {one.verdict.kind for one in stored.claims(other).values()} == {Kind.OUTDATED}
+    strict = {key: replace_most(one, 0.0) for key, one in stored.stated(document).items()}
+    monkeypatch.setattr(paper, "stated", lambda _: tuple(strict.values()))
+    assert stored.claims(document)["mission_loss"].verdict.kind is Kind.DIFFERS
 
 
 def replace_most(claim, at_most):
@@ -171,7 +174,7 @@ def replace_most(claim, at_most):
 
 def test_cases_with_the_same_figures_are_a_table():
     summary = {"a": {"rms": 0.5, "n": 3}, "b": {"rms": 0.25}, "c, d: rms": 0.125, "mass [kg]": 4.61}
-    text = kept_tables.page(made_up(rows=[], summary=summary))
+    text = kept_pages.page(made_up(rows=[], summary=summary))
     assert "| | rms | n |\n|---|---|---|\n| a | 0.5000 | 3 |" in text
     assert "| | rms |\n|---|---|\n| b | 0.2500 |\n| c, d | 0.1250 |" in text
     assert "| mass | 4.610 kg |" in text

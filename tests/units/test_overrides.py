@@ -2,9 +2,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from experiments import Refused
-from experiments.overrides import folder_suffix, options, parse
 from jax_aero.base import places, tables
+from jax_aero.base.terminal import Refused
+from jax_aero.results.overrides import folder_suffix, options, parse
 
 
 def test_values_are_written_as_in_toml():

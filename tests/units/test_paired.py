@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import Refused
-from experiments.sweep import columns, listing, paired, table
-from experiments.sweep.intervals import bootstrap, newcombe
-from experiments.table import csv_table, latex_table, text_table
+from jax_aero.base.terminal import Refused
+from jax_aero.results.table import csv_table, latex_table, text_table
+from jax_aero.sweep import columns, listing, paired, table
+from jax_aero.sweep.intervals import bootstrap, newcombe
 
 ENDS = ("", "_low", "_high")
 

@@ -4,14 +4,14 @@ import pytest
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from experiments import replay
 from jax_aero import rust
 from jax_aero.base import flights
 from jax_aero.base.quantities import shown_array
-from paper_figs import panels, runs, style
-from paper_figs.command import main
-from paper_figs.figures import FIGURES
-from paper_figs.panels import readable_name
+from jax_aero.commands import replay
+from jax_aero.commands.figures import main
+from jax_aero.figures import panels, runs, style
+from jax_aero.figures.catalogue import FIGURES
+from jax_aero.figures.panels import readable_name
 
 # The tests of each study draw its figure from a study of their own, those of the ground figures of flights from it.
 GROUND = {"fig6", "take_off"}

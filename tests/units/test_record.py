@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import record
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.files import write_netcdf
+from jax_aero.results import record
 
 
 @pytest.fixture

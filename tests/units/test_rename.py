@@ -4,12 +4,12 @@ import json
 
 import pytest
 
-from experiments import rename
 from jax_aero import rust
 from jax_aero.base import renamed
 from jax_aero.base.files import find_damaged
 from jax_aero.base.netcdf import open_dataset
 from jax_aero.cli import main
+from jax_aero.commands import rename
 from tests.units.test_replay import run
 
 OLD = """

@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import manifest, record
-from experiments.replay import compare
 from jax_aero import __main__ as commands
 from jax_aero import rust
 from jax_aero.base import places, sizes
 from jax_aero.base.result import labels_of
 from jax_aero.body.spatial import rpy_from_rotation, wxyz_from_rotation
+from jax_aero.commands.replay import compare
+from jax_aero.results import manifest, record
 from jax_aero.view import export, logs, matlab, recording
 from jax_aero.view.columns import read_mcap
 

@@ -15,10 +15,6 @@ import xarray as xr
 from matplotlib import image
 from PIL import Image
 
-from experiments import battery, manifest, outdated, record
-from experiments.cfd.settings import FlowConfig
-from experiments.flight import identity_of
-from experiments.identity import Identity
 from experiments.report import judge, paper
 from experiments.report.command import pictures, report
 from experiments.report.judge import AGREES, NOT_FLOWN, OUTDATED, Finding, Kind, Verdict
@@ -26,14 +22,19 @@ from experiments.report.measures import files
 from experiments.report.measures import results as measures
 from experiments.report.page import inline, literal, table, to_html
 from experiments.report.results import ANOTHER, Flight, Results, Sweep
-from experiments.sweep import run, spec
-from experiments.sweep.design import Design
-from experiments.sweep.intervals import wilson
 from jax_aero import rust
 from jax_aero.base import places, plain, tables
 from jax_aero.base.named import file_hash
 from jax_aero.base.places import ROBOT
+from jax_aero.cfd.settings import FlowConfig
 from jax_aero.cli import main
+from jax_aero.data import battery
+from jax_aero.results import manifest, outdated, record
+from jax_aero.results.flight import identity_of
+from jax_aero.results.identity import Identity
+from jax_aero.sweep import run, spec
+from jax_aero.sweep.design import Design
+from jax_aero.sweep.intervals import wilson
 
 
 def cell(index, flights, completed, on_course, rotation=5.0, **labels):

@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import Refused, flight, identity, manifest, record
-from experiments.identity import Identity
-from experiments.sweep import run, spec
-from experiments.sweep.design import Design
 from jax_aero import cli, rust
 from jax_aero.base import files, keys, places
+from jax_aero.base.terminal import Refused
 from jax_aero.cli import main
+from jax_aero.figures import runs
+from jax_aero.results import flight, identity, manifest, record
+from jax_aero.results.identity import Identity
+from jax_aero.sweep import run, spec
+from jax_aero.sweep.design import Design
 from jax_aero.view import recording
-from paper_figs import runs
 
 ROOT = Path(__file__).resolve().parents[2]
 SWEEP = {

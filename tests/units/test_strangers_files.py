@@ -16,17 +16,17 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 
-from experiments import Refused, record
-from experiments.identity import Identity
-from experiments.report import keep
 from experiments.report.judge import Record
 from experiments.report.results import Results
 from jax_aero.aero import dataset
 from jax_aero.base import documents, files, netcdf, run_file, sizes, tables
 from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
 from jax_aero.base.parquet import read_rows, read_table
+from jax_aero.base.terminal import Refused
+from jax_aero.figures import runs, sweeps
+from jax_aero.results import keep, record
+from jax_aero.results.identity import Identity
 from jax_aero.view import recording
-from paper_figs import runs, sweeps
 
 # --- NetCDF
 

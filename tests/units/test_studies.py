@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from experiments import studies
-from experiments.study import Findings, Study, file_hashes
 from jax_aero import cli
 from jax_aero.base import places, tables
 from jax_aero.base.keys import parse_assignments
+from jax_aero.commands import study as studies
+from jax_aero.results.study import Findings, Study, file_hashes
 
 
 def test_every_file_of_one_name_is_hashed(tmp_path):

@@ -19,14 +19,16 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from experiments import Refused, backends, cluster, identity, outdated
-from experiments.sweep import columns, command, keys, run, spec, table
-from experiments.sweep.design import Design
-from experiments.sweep.intervals import wilson
-from experiments.sweep.perturbation import Perturbation, members
-from jax_aero import rust
+from jax_aero import backends, rust
 from jax_aero.base import places, quantities
+from jax_aero.base.terminal import Refused
 from jax_aero.cli import main
+from jax_aero.commands import sweep as command
+from jax_aero.results import identity, outdated
+from jax_aero.sweep import cluster, columns, keys, run, spec, table
+from jax_aero.sweep.design import Design
+from jax_aero.sweep.intervals import wilson
+from jax_aero.sweep.perturbation import Perturbation, members
 
 ENSEMBLE = places.CONFIGS / "aero" / "networks" / "ensemble" / "ensemble.json"
 
@@ -672,7 +674,7 @@ def test_tables_are_written_and_read_without_a_thread(tmp_path):
 import os, sys
 from pathlib import Path
 import pyarrow as pa
-from experiments.sweep.run import parquet
+from jax_aero.sweep.run import parquet
 from jax_aero.base.parquet import read_parquet, read_table
 count = lambda: len(os.listdir("/proc/self/task"))
 before = count()

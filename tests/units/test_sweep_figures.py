@@ -9,14 +9,15 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from experiments.identity import Identity
 from jax_aero.base.documents import Drawing
-from paper_figs import ablation, front, maps, pairs
-from paper_figs.ablation import _is_geometric
-from paper_figs.command import DRAWINGS, main
-from paper_figs.figures import SWEEPS
-from paper_figs.scatter import correlations
-from paper_figs.sweeps import Sweep, axis_label, load
+from jax_aero.commands.figures import main
+from jax_aero.figures import ablation, front, maps, pairs
+from jax_aero.figures.ablation import _is_geometric
+from jax_aero.figures.catalogue import SWEEPS
+from jax_aero.figures.drawings import DRAWINGS
+from jax_aero.figures.scatter import correlations
+from jax_aero.figures.sweeps import Sweep, axis_label, load
+from jax_aero.results.identity import Identity
 
 AXES = {
     "world": {"name": "world", "label": "world", "unit": "", "levels": ["side", "ahead"]},

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.data import import_cfd, import_pressures, import_tunnel, tunnel
-from experiments.data.import_cfd import known_postures
 from jax_aero.aero.dataset import tunnel_from_base
+from jax_aero.data import import_cfd, import_pressures, import_tunnel, tunnel
+from jax_aero.data.import_cfd import known_postures
 from tests.measurements import measured
 
 HEADER = "CONF=STANDARD;FILETARA=TID_9999.tara;TID=1;DATA=2022/01/01   00:00:00; UM: A[m^2]"

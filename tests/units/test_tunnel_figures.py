@@ -5,7 +5,7 @@ import pytest
 
 from experiments.report import paper
 from experiments.report.measures import files
-from paper_figs import tunnel
+from jax_aero.data import tables as tunnel
 
 
 @pytest.fixture(scope="module")

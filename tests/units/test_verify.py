@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, verify
-from jax_aero.verify import cli, compare, flight, library, reach
+from jax_aero.commands import verify as cli
+from jax_aero.verify import compare, flight, library, reach
 from jax_aero.verify import ticks as verify_ticks
 
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.robot import waypoints
-from experiments.robot.waypoints import Step, Waypoints, reference
 from jax_aero import cli, rust
 from jax_aero.base import places, tables
+from jax_aero.robot import waypoints
+from jax_aero.robot.waypoints import Step, Waypoints, reference
 from tests.measurements import measured
 
 EAST = np.array([1.0, 0.0, 0.0])

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from experiments import manifest, record
 from jax_aero import rust
+from jax_aero.results import manifest, record
 from jax_aero.view.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,8 @@ import pytest
 
 from jax_aero import __main__ as commands
 from jax_aero.base import places
-from jax_aero.view import Refused, cli, offscreen, recording, video
+from jax_aero.commands import view as cli
+from jax_aero.view import Refused, offscreen, recording, video
 from jax_aero.view.drawing import GHOST, camera_at
 from jax_aero.view.painter import Painter
 from tests.view.conftest import near

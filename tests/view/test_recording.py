@@ -270,7 +270,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, fallen, capsys):
 
 def test_the_library_needs_nothing_of_the_viewer():
     code = (
-        "import sys, jax_aero, jax_aero.__main__, jax_aero.view.cli, jax_aero.view.web;"
+        "import sys, jax_aero, jax_aero.__main__, jax_aero.commands.view, jax_aero.view.web;"
         "print({'mujoco', 'av', 'PIL', 'jax', 'h5py', 'playwright'} & set(sys.modules))"
     )
     answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from experiments.battery import PAPER_BATTERY, Choice
 from experiments.report.measures import Measured, one
 from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.base.places import CONFIGS, ROBOT
-from paper_figs import tunnel
-from paper_figs.tunnel import CFD, EPSILON, OMEGA, TUNNEL
+from jax_aero.data import tables as tunnel
+from jax_aero.data.battery import PAPER_BATTERY, Choice
+from jax_aero.data.tables import CFD, EPSILON, OMEGA, TUNNEL
 
 NETWORK = CONFIGS / "aero" / "networks" / "default.json"
 GRAVITY = 9.81

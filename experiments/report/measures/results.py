@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from experiments.battery import PAPER_FUEL
-from experiments.flight import PAPER_RUNS
 from experiments.report.measures import Measured, one
 from experiments.report.measures.standing import standing
 from experiments.report.results import Cell, Results, count
-from experiments.sweep.columns import SHARES
-from experiments.sweep.criteria import Criterion, Share
-from experiments.sweep.intervals import wilson
+from jax_aero.data.battery import PAPER_FUEL
+from jax_aero.results.flight import PAPER_RUNS
+from jax_aero.sweep.columns import SHARES
+from jax_aero.sweep.criteria import Criterion, Share
+from jax_aero.sweep.intervals import wilson
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",

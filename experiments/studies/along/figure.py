@@ -7,8 +7,8 @@ import itertools
 import xarray as xr
 from matplotlib.figure import Figure
 
-from paper_figs import style
-from paper_figs.entry import Entry
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, style.ORANGE, style.BLACK, style.GREY)
 

@@ -17,11 +17,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, flight
-from experiments.battery import Choice
-from experiments.study import Findings, Study
 from jax_aero.base import places, run_file, tables
 from jax_aero.base.places import ROBOT
+from jax_aero.base.terminal import Refused
+from jax_aero.data.battery import Choice
+from jax_aero.results import flight
+from jax_aero.results.study import Findings, Study
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import pairs
 from jax_aero.symbolic.kinematics import Kinematics

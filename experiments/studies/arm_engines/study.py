@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.base.places import ROBOT
+from jax_aero.results.study import Findings, Study
 
 ENGINES = {"P160": 160.0, "P100": 100.0}
 """Greatest thrust of each arm [N]: in the published flights, and in the published balancing experiments."""

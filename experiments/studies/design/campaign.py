@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.studies.design import robots
-from experiments.sweep.keys import set_all
-from experiments.sweep.perturbation import Perturbation
-from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import places, tables
 from jax_aero.base.result import LOST
+from jax_aero.results.work import Work
+from jax_aero.sweep.keys import set_all
+from jax_aero.sweep.perturbation import Perturbation
 
 BASE, PERTURBATION = "mk3_robot", places.CONFIGS / "perturbation" / "robot.toml"
 POSITION, ROTATION = 0.05, np.radians(3.0)

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from experiments.robot import flight, scenario
 from jax_aero import rust
 from jax_aero.base import keys, places, plain, tables
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotation_from_rpy, rpy_from_rotation
+from jax_aero.robot import flight, scenario
 
 Array = NDArray[np.float64]
 MK3 = places.CONFIGS / "robot" / "ironcub_mk3.toml"

@@ -15,16 +15,16 @@ import numpy as np
 import xarray as xr
 from scipy.stats import spearmanr
 
-from experiments import Refused
-from experiments.identity import Identity
 from experiments.studies.design import campaign, robots, sensitivity
 from experiments.studies.design.campaign import AGAIN, FIGURES, FLIGHTS, Job, Row
 from experiments.studies.design.robots import RANGES, Array
-from experiments.study import Findings, Study
-from experiments.sweep.intervals import wilson
-from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import places, plain, run_file, tables
+from jax_aero.base.terminal import Refused
+from jax_aero.results.identity import Identity
+from jax_aero.results.study import Findings, Study
+from jax_aero.results.work import Work
+from jax_aero.sweep.intervals import wilson
 
 HOVERS = {"iRonCub-Mk1": "test2_observer", "iRonCub-Mk3": "mk3_test2"}
 IN_WIND = {

@@ -7,9 +7,9 @@ from itertools import cycle
 import xarray as xr
 from matplotlib.figure import Figure
 
-from paper_figs import style
-from paper_figs.entry import Entry
-from paper_figs.panels import readable_name
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
+from jax_aero.figures.panels import readable_name
 
 COLOURS = (style.VERMILION, style.BLUE, style.GREEN, style.BLACK)
 LABELS = {

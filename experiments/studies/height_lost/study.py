@@ -22,11 +22,11 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments import Refused
-from experiments.robot.groups import joints_of
-from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.base import tables
+from jax_aero.base.terminal import Refused
+from jax_aero.results.study import Findings, Study
+from jax_aero.robot.groups import joints_of
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.spatial import turn_from_rpy
 from jax_aero.symbolic.trajectory import IPOPT, CentroidalFlight

@@ -28,13 +28,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments.identify import command, excite, result, samples
-from experiments.study import Findings, Study, find
-from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.body.spatial import exp_so3
+from jax_aero.commands import identify as command
+from jax_aero.identify import excite, result, samples
+from jax_aero.results.study import Findings, Study, find
+from jax_aero.sweep.perturbation import Perturbation
 from jax_aero.train import identify
 from jax_aero.train.identify import Numbers
 

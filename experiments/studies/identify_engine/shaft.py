@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
-from experiments import Refused
-from experiments.data.import_bench import Bench
+from jax_aero.base.terminal import Refused
 from jax_aero.body.shaft import Ambient, Shaft, speed_rate, step_wanted, thrust_of, wanted_speed
+from jax_aero.data.import_bench import Bench
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,13 @@ from typing import Any
 
 import xarray as xr
 
-from experiments import Refused
-from experiments.data.import_bench import load_bench
 from experiments.studies.identify_engine import shaft
-from experiments.study import Findings, Study
 from jax_aero.base import tables
 from jax_aero.base.tables import Interval, Positive
+from jax_aero.base.terminal import Refused
 from jax_aero.body.shaft import DENSITY, TEMPERATURE, Ambient
+from jax_aero.data.import_bench import load_bench
+from jax_aero.results.study import Findings, Study
 
 
 class EngineLogs(tables.Table, frozen=True):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import xarray as xr
 from matplotlib.figure import Figure
 
-from paper_figs import style
-from paper_figs.entry import Entry
-from paper_figs.panels import readable_name
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
+from jax_aero.figures.panels import readable_name
 
 LEANS = ("leaning forwards", "upright", "leaning backwards")
 COLOURS = (style.BLACK, style.BLUE, style.VERMILION, style.PURPLE)

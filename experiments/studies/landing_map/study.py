@@ -19,12 +19,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments.robot import waypoints
-from experiments.robot.waypoints import PEAK, Step, Waypoints
-from experiments.study import Findings, Study, find
-from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
 from jax_aero.base import places, tables
+from jax_aero.results.study import Findings, Study, find
+from jax_aero.robot import waypoints
+from jax_aero.robot.waypoints import PEAK, Step, Waypoints
+from jax_aero.sweep.perturbation import Perturbation
 
 Array = NDArray[np.float64]
 

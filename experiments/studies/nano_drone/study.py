@@ -21,15 +21,16 @@ import pandas as pd
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from experiments.identify import command, samples
-from experiments.robot.command import main as import_robot
-from experiments.study import Findings, Study
-from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
 from jax_aero.base import places, tables
 from jax_aero.base.files import complete_file
 from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import load_robot
+from jax_aero.commands import identify as command
+from jax_aero.commands.robot import main as import_robot
+from jax_aero.identify import samples
+from jax_aero.results.study import Findings, Study
+from jax_aero.sweep.perturbation import Perturbation
 
 COMMIT = "b0cf4b3144e84716546ab8bb028d7eacc42475c2"
 SOURCE = (

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Circle, FancyArrow, Polygon, Rectangle
 
-from paper_figs import style
-from paper_figs.entry import Entry
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 COLUMNS = 8
 WIDTH, HEIGHT = 4.0, 3.84

@@ -12,13 +12,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import flight
-from experiments.data.import_cfd import POSTURES, known_postures
-from experiments.data.ironcub import joint_position
-from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.base.places import ROBOT
+from jax_aero.data.import_cfd import POSTURES, known_postures
+from jax_aero.data.ironcub import joint_position
+from jax_aero.results import flight
+from jax_aero.results.study import Findings, Study
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.view import recording

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from paper_figs import style
-from paper_figs.entry import Entry
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 WINDOW = 20
 """Steps over which the course is averaged."""

@@ -20,9 +20,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments.identity import Identity
-from experiments.study import Findings, Study
-from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import plain, tables
 from jax_aero.base.cards import card_text
@@ -33,6 +30,9 @@ from jax_aero.control.law.residual import Policy
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task
+from jax_aero.results.identity import Identity
+from jax_aero.results.study import Findings, Study
+from jax_aero.results.work import Work
 from jax_aero.train.policy import Settings, act, residual_of, train
 
 SEED = 2**40

@@ -14,17 +14,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import Refused
-from experiments.identity import Identity
 from experiments.studies.published_mpc import plan
 from experiments.studies.published_mpc.flight import Published
-from experiments.study import Findings, Study
-from experiments.sweep.intervals import wilson
-from experiments.sweep.perturbation import Perturbation
-from experiments.wind_direction import wind_from
-from experiments.work import Work
 from jax_aero import rust
 from jax_aero.base import places, tables
+from jax_aero.base.terminal import Refused
+from jax_aero.base.wind_direction import wind_from
+from jax_aero.results.identity import Identity
+from jax_aero.results.study import Findings, Study
+from jax_aero.results.work import Work
+from jax_aero.sweep.intervals import wilson
+from jax_aero.sweep.perturbation import Perturbation
 
 EXPERIMENT, PERTURBATION = "mk3_min_jerk", places.CONFIGS / "perturbation" / "flight.toml"
 PUSHED = 6.0

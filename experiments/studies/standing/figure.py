@@ -5,8 +5,8 @@ from __future__ import annotations
 import xarray as xr
 from matplotlib.figure import Figure
 
-from paper_figs import style
-from paper_figs.entry import Entry
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 LOOKS = {"recorded": (style.BLACK, "-"), "as flown": (style.ORANGE, "--"), "right": (style.BLUE, "-")}
 """Colour and dash of every source."""

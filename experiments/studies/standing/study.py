@@ -18,13 +18,13 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from experiments.replay import replay
 from experiments.studies.standing import friction
 from experiments.studies.standing.motion import moved
-from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.base import keys, tables
 from jax_aero.mujoco import ground
+from jax_aero.replay import replay
+from jax_aero.results.study import Findings, Study
 from jax_aero.view import logs
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from paper_figs import panels, runs, style
-from paper_figs.entry import Entry
+from jax_aero.figures import panels, runs, style
+from jax_aero.figures.entry import Entry
 
 COLOURS = {"min_time": style.VERMILION, "min_fuel": style.BLUE}
 PAPER = style.GREY

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import Refused
-from experiments.robot.groups import joints_of
-from experiments.robot.waypoints import reference_text
-from experiments.study import Findings, Study
 from jax_aero import rust
+from jax_aero.base.terminal import Refused
+from jax_aero.results.study import Findings, Study
+from jax_aero.robot.groups import joints_of
+from jax_aero.robot.waypoints import reference_text
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trajectory import (

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Wedge
 from numpy.typing import NDArray
 
-from paper_figs import style
-from paper_figs.entry import Entry
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 Array = NDArray[np.float64]
 

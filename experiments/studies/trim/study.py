@@ -14,14 +14,14 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from experiments import Refused, overrides, study
-from experiments.robot.groups import joints_of
-from experiments.study import Findings, Study
-from experiments.wind_direction import wind_from
 from jax_aero import rust
 from jax_aero.base import tables
-from jax_aero.base.terminal import exit_status, terminal
-from jax_aero.cli import Parser
+from jax_aero.base.arguments import Parser
+from jax_aero.base.terminal import Refused, exit_status, terminal
+from jax_aero.base.wind_direction import wind_from
+from jax_aero.results import overrides, study
+from jax_aero.results.study import Findings, Study
+from jax_aero.robot.groups import joints_of
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.trim import Objective, Trim, TrimResult, TrimSettings
 

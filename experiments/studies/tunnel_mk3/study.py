@@ -15,18 +15,18 @@ import msgspec
 import numpy as np
 import xarray as xr
 
-from experiments import Refused
-from experiments.cfd.models import NEWTON_METRES, evaluate_areas
-from experiments.cfd.tunnel import SUPPORT
-from experiments.data import fit, tunnel
-from experiments.data.import_cfd import OUT
-from experiments.data.import_tunnel import MK3
-from experiments.data.ironcub import joint_position
-from experiments.study import Findings, Study
 from jax_aero.aero.dataset import Floats, wind_direction
 from jax_aero.aero.posture import axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
 from jax_aero.base import run_file, tables
+from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import RobotModel, load_robot
+from jax_aero.cfd.models import NEWTON_METRES, evaluate_areas
+from jax_aero.cfd.tunnel import SUPPORT
+from jax_aero.data import fit, tunnel
+from jax_aero.data.import_cfd import OUT
+from jax_aero.data.import_tunnel import MK3
+from jax_aero.data.ironcub import joint_position
+from jax_aero.results.study import Findings, Study
 
 SPEED = 17.0
 """Speed at which a model is evaluated; areas do not depend on it [m/s]."""

@@ -7,8 +7,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs import style
-from paper_figs.entry import Entry
+from jax_aero.figures import style
+from jax_aero.figures.entry import Entry
 
 NEWTON_METRES = 61.25
 """Moment per moment volume of 1 m³ at 10 m/s [N m]."""

@@ -17,10 +17,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments.study import Findings, Study
-from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
 from jax_aero.base import keys, places, tables
+from jax_aero.results.study import Findings, Study
+from jax_aero.sweep.perturbation import Perturbation
 
 DURATION, KNOWN = 20.0, 8.0
 """Duration of a flight, and time from which on it is judged [s]."""

@@ -1,4 +1,4 @@
-//! Our part of the comparison with Pinocchio, DAQP and Clarabel, run by `python -m experiments.bench`.
+//! Our part of the comparison with Pinocchio, DAQP and Clarabel, run by `python -m experiments.tools.bench`.
 //!
 //! The output is that of `common::report`, over rounds of 201 states or problems. With `--dump DIR` these are
 //! written there as input of the other programs, and nothing is timed. Each file is a list of f64: count, size, then row by row

@@ -1,0 +1,173 @@
+"""Comparison of the Rust crate with JAX, on the same states and in the same flight, and with the C library.
+
+    jax-aero verify                                    # TEST2: random states, every tick, the flight
+    jax-aero verify --config test2_published --set wind.velocity=[0,-12,0]
+    jax-aero verify --controller my_controller.toml    # another controller in the same flight
+    jax-aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
+    jax-aero verify --config test4                     # the network, in double precision
+    jax-aero verify --config robot                     # what the crate alone flies: its law
+
+Prints a table, writes it, and exits with status 1 if anything disagrees. States and ticks are compared
+relative to the largest entry of the crate's results, or with its rounding where terms cancel; the flight from its start
+by the absolute difference of every logged signal, as far as it can be reproduced. A result of the same files and
+options is replaced, that of others only with --overwrite.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.base.arguments import Parser, complete_with, count
+from jax_aero.base.files import read_json, replace_infinite, write_json, write_text
+from jax_aero.base.keys import parse_assignments
+from jax_aero.base.terminal import Refused, exit_status
+from jax_aero.verify import Row, compared, random_samples, use_double_precision, verify_robots
+
+NUMBERS = "verify.json"
+"""File of a result with its subject and its numbers."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Compare, print and write; return 0 if everything agrees, 1 if not, 2 for invalid arguments."""
+    options = _parse(arguments)
+    return exit_status(lambda: _compare(options))
+
+
+def _compare(options: argparse.Namespace) -> int:
+    import jax
+
+    from jax_aero.sim.preparation import read_config, refuse
+    from jax_aero.sim.programs import keep_programs
+    from jax_aero.verify.flight import verify_flight
+    from jax_aero.verify.law import verify_law
+    from jax_aero.verify.library import BUILD, find, verify_library, why_not
+    from jax_aero.verify.reach import unreached
+    from jax_aero.verify.ticks import verify_ticks
+
+    keep_programs()
+    config = None if options.robot else use_double_precision(_config(options))
+    if config is not None and compared(config) == "nothing":
+        refuse(read_config(config))
+    folder, facts = _subject(options, config)
+    _check_replaceable(folder, facts, overwrite=options.overwrite)
+    robot, found = options.robot if config is None else config["robot"], {}
+    with jax.enable_x64(True):
+        rows = verify_robots(robot, options.states, options.dynamics, options.seed)
+        if config is not None:
+            if compared(config) == "tick":
+                samples = random_samples(config, options.states, options.seed)
+                rows += verify_ticks(config, samples)
+                flight = verify_flight(config, options.dynamics)
+                rows += flight.rows
+                found = {
+                    "compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s",
+                    "not reached": unreached(flight.scenario, samples, flight.sections),
+                }
+            else:
+                of_law, share = verify_law(config)
+                rows += of_law
+                found = {
+                    "compared": f"{share:.1%} of the ticks, the law alone",
+                    "not reached": ["what no tick of this flight reaches, which is not examined"],
+                }
+            library, reason = options.library or find(), why_not(config)
+            if library is not None and reason is None:
+                rows += verify_library(config, library)
+            found["C library"] = f"not compared: {reason}" if reason else str(library or f"not built: {BUILD}")
+    print(table(rows))
+    written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts, **found})
+    bad = [row for row in rows if not row.agrees]
+    but = f", not {', '.join(f'{row.group} {row.quantity}' for row in bad)}" if bad else ""
+    print("\n" + _lines(found))
+    print(f"{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
+    return 1 if bad else 0
+
+
+def _subject(options: argparse.Namespace, config: rust.Config | None) -> tuple[Path, dict[str, Any]]:
+    """Return the folder of the result, and what it is a result of."""
+    facts = {"backend": options.dynamics, "states": options.states, "seed": options.seed}
+    if config is None:
+        robot = rust.Robot(options.robot)
+        name = places.file_name(robot.name)
+        files = hashlib.sha256((robot.toml_text + robot.urdf_text).encode()).hexdigest()
+        facts |= {"robot": robot.name, "files": files[:12]}
+    else:
+        name = Path(options.config).stem
+        facts |= {"flight": config["title"] or options.config, "config": rust.config_digest(config)[:12]}
+    return options.out or places.RESULTS / "verify" / name, facts
+
+
+def _check_replaceable(folder: Path, facts: Mapping[str, Any], *, overwrite: bool) -> None:
+    """Refuse, without `overwrite`, to replace a result of anything else."""
+    path = folder / NUMBERS
+    if overwrite or not path.exists():
+        return
+    with suppress(OSError, ValueError):
+        kept = read_json(path)
+        if all(kept.get(name) == value for name, value in facts.items()):
+            return
+    raise Refused(f"{path} is the result of another comparison; choose another --out, or --overwrite it")
+
+
+def _parse(arguments: Sequence[str]) -> Any:
+    parser = Parser("verify", __doc__)
+    what = parser.add_mutually_exclusive_group()
+    chosen = what.add_argument("--config", default="test2", metavar="NAME", help="flight to compare: name or path")
+    complete_with(chosen, lambda: places.names("experiments"))
+    what.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
+    parser.add_argument("--controller", metavar="NAME", help="another one, of configs/control, or its file")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
+    parser.add_argument("--states", type=count, default=50, help="number of random and of recorded states")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--dynamics", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
+    about = "libflight.so to compare (default: the newest that cargo built)"
+    parser.add_argument("--library", type=Path, metavar="FILE", help=about)
+    parser.add_argument("--out", type=Path, help="folder for the table; default results/verify/NAME")
+    parser.add_argument("--overwrite", action="store_true", help="replace the result of another comparison")
+    options = parser.parse_args(arguments)
+    if options.robot and (options.controller or options.set):
+        parser.error("`--robot` compares no flight: expected neither `--controller` nor `--set`")
+    return options
+
+
+def _config(options: argparse.Namespace) -> dict[str, Any]:
+    changes = parse_assignments(options.set)
+    if options.controller is not None:
+        changes = {"controller": rust.load_controller(options.controller), **changes}
+    return rust.load_config(options.config, changes)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows as a Markdown table."""
+    head = f"| {'group':8} | {'quantity':26} | max abs  | max rel  | rounding | tolerance     | verdict   |"
+    rule = f"|{'-' * 10}|{'-' * 28}|---------:|---------:|---------:|---------------|-----------|"
+    lines = [
+        f"| {row.group:8} | {row.quantity:26} | {row.absolute:8.1e} | {row.relative:8.1e} | {row.rounding:8.1e} "
+        f"| {row.tolerance:5.0e} {'rel' if row.is_relative else 'abs'}     "
+        f"| {'agrees   ' if row.agrees else 'DISAGREES'} |"
+        for row in rows
+    ]
+    return "\n".join([head, rule, *lines])
+
+
+def _lines(facts: Mapping[str, Any]) -> str:
+    return "\n".join(
+        f"{name}: {', '.join(value) or 'none' if isinstance(value, list) else value}" for name, value in facts.items()
+    )
+
+
+def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[Path]:
+    """Write table and numbers; return the paths written."""
+    text, numbers = folder / "verify.md", folder / NUMBERS
+    write_text(text, f"# Rust against JAX\n\n{_lines(facts)}\n\n{table(rows)}\n")
+    entries = [replace_infinite(asdict(row) | {"relative": row.relative, "agrees": row.agrees}) for row in rows]
+    write_json(numbers, dict(facts) | {"rows": entries})
+    return [text, numbers]

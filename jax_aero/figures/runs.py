@@ -1,0 +1,62 @@
+"""Result folders of flights and studies, read for figures; never written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import xarray as xr
+
+from jax_aero.base import kinds, run_file
+from jax_aero.base.places import RESULTS, RUN_FILE, is_path
+from jax_aero.base.terminal import Refused
+from jax_aero.figures import style
+
+
+class NotDrawn(Exception):
+    """A figure cannot be drawn; the message states the reason and the remedy."""
+
+
+class MissingRun(NotDrawn):
+    """A figure lacks a flight or a package; the message names it and how to get it."""
+
+
+def escape_text(text: object) -> str:
+    """Return a text, in which `$` is an ordinary character if what stands between them cannot be typeset."""
+    return str(text) if style.can_be_typeset(str(text)) else str(text).replace("$", r"\$")
+
+
+def folder_of(results: Path, kind: str, name: str) -> Path:
+    """Return the folder of a result of a kind; `results` is that of flights, and a flight's name may be a path."""
+    if kind != "flight":
+        return results.parent / kind / name
+    return Path(name) if is_path(name) else results / name
+
+
+def load(results: Path, name: str, label: str | None = None) -> xr.Dataset:
+    """Read the flight of this name, or in a folder given by its path, with a label in place of its name and title."""
+    path = folder_of(results, "flight", name) / RUN_FILE
+    if is_path(name) and not path.is_file():
+        raise MissingRun(f"no flight in `{name}`; expected the folder of one")
+    if not path.is_file():
+        fly = kinds.find("flight")
+        elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
+        raise MissingRun(f"no flight `{name}` in {results}; fly it with: {fly.line(name, options=elsewhere)}")
+    flight = read(path)
+    named = (path.parent.name, flight.attrs["title"]) if label is None else (label, label)
+    return flight.assign_attrs(zip(("name", "title"), map(escape_text, named), strict=True))
+
+
+def load_study(results: Path, kind: str, name: str) -> xr.Dataset:
+    """Read a study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
+    path = folder_of(results, kind, name) / RUN_FILE
+    if not path.is_file():
+        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {kinds.find(kind).line(name)}")
+    return read(path).assign_attrs(name=name)
+
+
+def read(path: Path) -> xr.Dataset:
+    """Read a result file; a damaged one counts as missing."""
+    try:
+        return run_file.read(path)
+    except Refused as reason:
+        raise MissingRun(str(reason)) from reason

@@ -1,0 +1,148 @@
+"""Kept results: `docs/results/NAME.json`, the figures of a finished result.
+
+A kept result has what its pages say: how it was made, and its figures. Those of a sweep are rows of flights, also
+pooled over any of its axes; those of a study or a benchmark are its summary.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Set
+from functools import cache
+from typing import Any
+
+import msgspec
+
+from jax_aero.base.terminal import Refused
+from jax_aero.sweep.intervals import wilson
+from jax_aero.base import places
+from jax_aero.base.files import read_json
+
+FOLDER = places.HOME / "docs" / "results"
+MOST_LEVELS = 16
+"""Greatest number of levels that are drawn in rows: the picture of more repeats the table."""
+
+ALL = "all"
+"""Level of an axis over which the flights of a row are pooled."""
+
+
+class Axis(msgspec.Struct):
+    """An axis of a sweep, with the levels of its table in order."""
+
+    name: str
+    label: str
+    unit: str
+    levels: list[str | float]
+
+    def show(self, level: str | float) -> str:
+        """Return a level with its unit."""
+        return f"{level:g} {self.unit}".rstrip() if isinstance(level, int | float) else level
+
+
+class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """One kept result."""
+
+    name: str
+    result: str
+    """Folder of the result, below `results/`."""
+    title: str
+    about: str = ""
+    command: str
+    created: str
+    commit: str | None
+    digest: str
+    """Digest of the configuration and of the files that it names."""
+    numerics: dict[str, int] = {}
+    """Versions of the numbers of what computed it (`jax_aero.results.identity`); the first ones if none is named."""
+    config: dict[str, Any] = {}
+    """Configuration of a study; that of a sweep is its file."""
+    seed: int | None = None
+    each: str = ""
+    """Number of flights of a cell, and how they differ."""
+    axes: list[Axis] = []
+    drawing: str = ""
+    panels: str = ""
+    pooled: list[str] = []
+    """Labels of the axes that no row distinguishes."""
+    shows: list[str] = []
+    outcomes: dict[str, int] = {}
+    """Number of flights by outcome."""
+    columns: list[str] = []
+    rows: list[list[Any]] = []
+    """Figures of flights; an axis over which they are pooled is "all"."""
+    firsts: list[list[Any]] = []
+    """Outcome and figures (`keep.FIRST`) of the first flight of each cell, in the order of the sweep's cells.
+
+    Empty where MuJoCo simulates or the controller is in Python.
+    """
+    firsts_flown: str = ""
+    """When and with which commit these were flown, if not with the other flights."""
+    summary: Any = None
+    """Figures of a study or a benchmark."""
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return the rows as tables."""
+        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+
+    def cells(self, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
+        """Return the rows with the columns of a sweep's table of cells, pooled over these axes and no others."""
+        found = [row for row in self.table() if {axis.name for axis in self.axes if row[axis.name] == ALL} == pooled]
+        return [row | _as_cell(row) for row in found]
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether a picture adds to the table, and needs no more than its rows."""
+        if self.drawing in ("levels", "front"):
+            return all(len(axis.levels) <= MOST_LEVELS for axis in self.axes)
+        return self.drawing in ("curve", "map") and not self.pooled
+
+
+def _as_cell(row: Mapping[str, Any]) -> dict[str, Any]:
+    cell: dict[str, Any] = {"upright": row["completed"] + row["landed"]}
+    for share, count in {"completed": row["completed"], **cell}.items():
+        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(count, row["flights"])
+    for quantity, column, factor in (("rotation_error_deg", "rotation_deg", 1.0), ("com_error", "com_cm", 0.01)):
+        for quantile, of in (("p10", "median"), ("median", "median"), ("p90", "high"), ("worst", "worst")):
+            value = row[f"{column}_{of}"]
+            cell[f"{quantity}_{quantile}"] = None if value is None else factor * value
+    return cell
+
+
+def names() -> list[str]:
+    """Return the names of all kept results."""
+    return sorted(path.stem for path in FOLDER.glob("*.json"))
+
+
+@cache
+def read(name: str) -> Kept:
+    """Return a kept result."""
+    path = FOLDER / f"{name}.json"
+    if not path.is_file():
+        raise Refused(f"there is no kept result `{name}`{places.did_you_mean(name, names())}")
+    return msgspec.convert(read_json(path, Kept), Kept)
+
+
+def to_json(kept: Kept) -> str:
+    """Return a kept result as JSON, with a line for each row."""
+    document = msgspec.to_builtins(kept)
+    tables = {name: document.pop(name) for name in ("rows", "firsts") if name in document}
+    text = json.dumps(document, indent=1, ensure_ascii=False)
+    for name, rows in tables.items():
+        lines = ",\n".join(f"  {json.dumps(row, ensure_ascii=False)}" for row in rows)
+        text = f'{text[:-2]},\n "{name}": [\n{lines}\n ]\n}}'
+    return f"{text}\n"
+
+
+def cases_of(summary: Mapping[str, Any] | None) -> dict[str, dict[str, Any]]:
+    """Return the figures of a study by case, those without case under "".
+
+    The cases are nested tables, or the first part of the names: `fine mesh: drag [m2]`.
+    """
+    cases: dict[str, dict[str, Any]] = {"": {}}
+    for key, value in (summary or {}).items():
+        if isinstance(value, Mapping):
+            cases.setdefault(str(key), {}).update(value)
+        else:
+            case, _, figure = str(key).rpartition(": ")
+            cases.setdefault(case, {})[figure] = value
+    return cases

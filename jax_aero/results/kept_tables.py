@@ -1,0 +1,208 @@
+"""Tables of kept results.
+
+A column of a sweep is a figure (`keep.FIGURES`), a count of several outcomes (`completed + landed`), or its share of
+flights with its Wilson interval of 95 % (`share completed + landed`). A column of a study is a figure of its cases.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+from jax_aero.base.terminal import Refused
+from jax_aero.results import kept
+from jax_aero.results.kept import ALL, Kept
+from jax_aero.sweep.intervals import wilson
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.base.quantities import converted
+
+UNIT = re.compile(r"\s*\[(?P<unit>[^\]]+)\]$")
+SIGNS = str.maketrans("234", "²³⁴")
+
+Names = list[str] | dict[str, str]
+"""Names, or names by what a table says in their place."""
+Rows = tuple[list[str], list[list[str]]]
+"""Headings and cells."""
+T = TypeVar("T")
+
+
+class Value(NamedTuple):
+    """A number with its unit, or a text."""
+
+    value: Any
+    unit: str = ""
+
+    def text(self, digits: int, unit: str | None = None) -> str:
+        """Return it in a unit, a number with at least so many significant digits."""
+        if self.value is None or self.value != self.value:
+            return ""
+        if isinstance(self.value, str):
+            return self.value
+        value = self.value if unit is None else converted(self.value, self.unit, unit)
+        if isinstance(value, float):
+            before = math.floor(math.log10(abs(value))) if value else 0
+            return f"{value:.{max(0, digits - 1 - before)}f}".replace("-", "−")
+        return str(value)
+
+
+def by_heading(names: Names) -> dict[str, str]:
+    """Return names by what is said in their place."""
+    return names if isinstance(names, dict) else {name: name for name in names}
+
+
+def one(known: Mapping[str, T], name: str, what: str) -> T:
+    """Return what has this name; refuse another one."""
+    if name not in known:
+        raise Refused(f"there is no {what} `{name}`{places.did_you_mean(name, known)}")
+    return known[name]
+
+
+def of_columns(names: Names, rows: Sequence[Mapping[str, Value]], labels: Mapping[str, str], digits: int = 2) -> Rows:
+    """Return headings with units, and the cells below them; a column has one unit."""
+    headings, columns = [], []
+    for heading, name in by_heading(names).items():
+        values = [one(row, name, "column") for row in rows]
+        unit = next((value.unit for value in values if value.unit), "")
+        if heading == name:
+            heading = labels.get(name, name)
+        if found := UNIT.search(heading):
+            unit, heading = found["unit"], heading[: found.start()]
+        headings.append(f"{heading} [{unit}]" if unit else heading)
+        columns.append([value.text(digits, unit) for value in values])
+    return headings, [list(cells) for cells in zip(*columns, strict=True)]
+
+
+# --- sweeps -----------------------------------------------------------------------------------------------------------
+
+STATISTICS = {"median": "median", "high": "90 %", "worst": "greatest"}
+QUANTITIES = {
+    "rotation_deg": "rotation error",
+    "com_cm": "position error",
+    "found_s": "found after",
+    "announced_s": "announced before",
+    "lost_s": "lost at",
+}
+UNITS = {"deg": "°", "cm": "cm", "s": "s"}
+ENDS = ("completed", "landed", "landing", "off_course", "crashed", "fell")
+"""Counts that add up to all flights."""
+SHOWN = {
+    "share": (["share completed + landed"], "Share: with its Wilson interval of 95 %."),
+    "errors": (
+        ["rotation_deg_median", "rotation_deg_worst", "com_cm_median", "com_cm_worst"],
+        "Errors: the greatest of a flight that completed or landed.",
+    ),
+    "found": (["found_s"], "Found after: median time since the failure, where half of the flights find one."),
+    "announced": (["announced_s"], "Announced before: median time from the first mode to the loss."),
+    "modes": (["modes"], "Modes: those of at least half of the flights."),
+}
+"""Columns of a page beside the counts, and what it says of them."""
+
+
+def _label(column: str) -> str:
+    """Return the heading of a column: `rotation_deg_worst` is "rotation error, greatest"."""
+    quantity, _, statistic = column.rpartition("_")
+    if statistic in STATISTICS:
+        return f"{QUANTITIES[quantity]}, {STATISTICS[statistic]}"
+    return QUANTITIES.get(column, column.replace("_", " "))
+
+
+def rows_of(document: Kept) -> list[dict[str, Any]]:
+    """Return the rows of a sweep with the flights that fell, and without a time of finding that few flights have."""
+    rows = document.table()
+    for row in rows:
+        row["fell"] = row["lost"] - row["landing"] - row["off_course"] - row["crashed"]
+        row["found_s"] = row["found_s"] if 2 * row["degraded"] >= row["flights"] else None
+    return rows
+
+
+def _figures(row: Mapping[str, Any], names: Iterable[str], axes: Iterable[str]) -> dict[str, Value]:
+    """Return the figures of a row, and these combinations of counts, each with its flights."""
+    found = {"flights": Value(row["flights"])}
+    for column in row.keys() - {*axes, "flights"}:
+        unit = next((UNITS[part] for part in column.split("_") if part in UNITS), None)
+        if column == "modes":
+            found[column] = Value(" ".join(f"`{name}`" for name, bit in rust.MODES.items() if row[column] & bit))
+        else:
+            found[column] = Value(f"{row[column]} of {row['flights']}") if unit is None else Value(row[column], unit)
+    for name in names:
+        counts = name.removeprefix("share ").split(" + ")
+        if name not in found and all(isinstance(row.get(count), int) for count in counts):
+            count, flights = sum(row[count] for count in counts), row["flights"]
+            share, low, high = (f"{100.0 * x:.0f}" for x in (count / flights, *wilson(count, flights)))
+            is_share = name.startswith("share ")
+            found[name] = Value(f"{share} % ({low} to {high})" if is_share else f"{count} of {flights}")
+    return found
+
+
+def of_sweep(
+    document: Kept, columns: Names, asked: Mapping[str, Names | str], across: str = "", digits: int = 2
+) -> Rows:
+    """Return a row for each combination of levels, that of panels last; an axis of one level has no column.
+
+    `asked` are levels of some axes. The columns are those of the axis `across`, of one quantity, if there is one.
+    """
+    axes = {axis.name: axis for axis in sorted(document.axes, key=lambda axis: axis.name == document.panels)}
+    for name in (*asked, *([across] if across else [])):
+        one(axes, name, "axis")
+    chosen: dict[str, dict[Any, str]] = {}
+    for name, axis in axes.items():
+        level_of = {axis.show(level): level for level in axis.levels} | {ALL: ALL}
+        said = asked.get(name, list(map(axis.show, axis.levels)))
+        texts = by_heading([said] if isinstance(said, str) else said)
+        chosen[name] = {one(level_of, level, f"level of {name}"): text for text, level in texts.items()}
+    names = [name for name in axes if len(chosen[name]) > 1 and name != across]
+    found: dict[tuple[Any, ...], dict[Any, dict[str, Value]]] = {}
+    place = {name: {level: number for number, level in enumerate(levels)} for name, levels in chosen.items()}
+    rows = [row for row in rows_of(document) if all(row[name] in levels for name, levels in chosen.items())]
+    for row in sorted(rows, key=lambda row: [place[name][row[name]] for name in axes]):
+        figures = _figures(row, by_heading(columns).values(), axes)
+        found.setdefault(tuple(row[name] for name in names), {})[row.get(across)] = figures
+    if not found:
+        raise Refused(f"{document.name} has no such rows")
+    labels = [[chosen[name][level] for name, level in zip(names, levels, strict=True)] for levels in found]
+    if not across:
+        every = [figures[None] for figures in found.values()]
+        headings, cells = of_columns(columns, every, {column: _label(column) for column in every[0]}, digits)
+    else:
+        ((heading, name),) = by_heading(columns).items()
+        unit = UNIT.search(heading)
+        headings = list(chosen[across].values())
+        of = [[row[level][name] if level in row else Value("") for level in chosen[across]] for row in found.values()]
+        cells = [[one.text(digits, unit["unit"] if unit else None) for one in row] for row in of]
+    return [*(axes[name].label for name in names), *headings], [[*a, *b] for a, b in zip(labels, cells, strict=True)]
+
+
+def of_page(document: Kept) -> Rows:
+    """Return the table of a sweep's page: every outcome, and what it shows, without columns that no row has."""
+    asked = [*ENDS, *(name for shown in document.shows for name in SHOWN[shown][0])]
+    rows = rows_of(document)
+    return of_sweep(document, [name for name in asked if any(row.get(name, True) for row in rows)], {}, digits=3)
+
+
+# --- studies ----------------------------------------------------------------------------------------------------------
+
+
+def of_study(document: Kept, columns: Names, chosen: Names, digits: int = 2) -> Rows:
+    """Return a row for each case, or without columns for each figure of a study that has no case."""
+    cases = kept.cases_of(document.summary)
+    if not columns:
+        figures, cells = cases[""], []
+        for text, name in by_heading(chosen or list(figures)).items():
+            value, unit = one(figures, name, "figure"), _unit(text)
+            cells.append([UNIT.sub("", text), f"{Value(value, _unit(name)).text(digits, unit)} {unit}".rstrip()])
+        return ["figure", "value"], cells
+    asked = by_heading(chosen or [case for case in cases if case])
+    held = [one(cases, name, "case") for name in asked.values()]
+    rows = [{figure: Value(value, _unit(figure)) for figure, value in figures.items()} for figures in held]
+    labels = {figure: UNIT.sub("", figure) for row in rows for figure in row}
+    headings, cells = of_columns(columns, rows, labels, digits)
+    return ["", *headings], [[text, *row] for text, row in zip(asked, cells, strict=True)]
+
+
+def _unit(figure: str) -> str:
+    """Return the unit that ends the name of a figure."""
+    found = UNIT.search(figure)
+    return found["unit"].translate(SIGNS).replace("deg", "°") if found else ""

@@ -1,0 +1,58 @@
+"""Printed tables of a sweep: its cells, or differences between levels of an axis, with their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import pandas as pd
+
+from jax_aero.results.table import Rows
+from jax_aero.sweep.columns import OUTCOMES
+from jax_aero.sweep.intervals import SHARE, share
+from jax_aero.sweep.paired import COLUMNS
+
+ERRORS = {
+    "max rotation error [deg], median, 10 to 90 %": ("rotation_error_deg", 1.0),
+    "max CoM error [cm], median, 10 to 90 %": ("com_error", 100.0),
+}
+"""Quantities of the table of cells, and factors, by heading."""
+
+Labels = Mapping[str, str]
+"""Headings of the axes, by name."""
+
+
+def of_cells(cells: pd.DataFrame, labels: Labels) -> Rows:
+    """Return levels, outcomes, share and errors of the cells."""
+    shares = [share(*numbers) for numbers in zip(cells["upright"], cells["flights"], strict=True)]
+    columns = [(label, _levels(cells[name])) for name, label in labels.items()]
+    columns += [("flights", _levels(cells["flights"]))]
+    columns += [(name.replace("_", " "), _levels(cells[name])) for name in OUTCOMES if cells[name].any()]
+    columns += [(SHARE, _intervals(shares, ".0f"))]
+    for heading, (quantity, factor) in ERRORS.items():
+        found = factor * cells[[f"{quantity}_{end}" for end in ("median", "p10", "p90")]].astype(float)
+        columns += [(heading, _intervals(found.to_numpy(), ".2f"))]
+    return _rows(columns)
+
+
+def of_pairs(found: pd.DataFrame, labels: Labels) -> Rows:
+    """Return the differences of `paired.differences`."""
+    heads = [name for name in found if name in labels or name == "pairs"]
+    columns = [(labels.get(name, name), _levels(found[name])) for name in heads]
+    for name, heading in COLUMNS.items():
+        values = found[[name, f"{name}_low", f"{name}_high"]].to_numpy()
+        columns += [(heading, _intervals(values, "+.1f" if name == "share" else "+.2f"))]
+    return _rows(columns)
+
+
+def _rows(columns: Sequence[tuple[str, list[str]]]) -> Rows:
+    """Return columns as rows, headings first, without those that are empty."""
+    return list(zip(*([heading, *cells] for heading, cells in columns if any(cells)), strict=True))
+
+
+def _levels(values: Iterable[object]) -> list[str]:
+    return [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
+
+
+def _intervals(values: Iterable[Sequence[float]], form: str) -> list[str]:
+    shown = ([format(end, form) for end in value] for value in values)
+    return ["" if middle in ("nan", "+nan") else f"{middle} ({low} to {high})" for middle, low, high in shown]

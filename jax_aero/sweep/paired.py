@@ -1,0 +1,56 @@
+"""Differences between levels of an axis of a sweep, flight by flight on the same draws.
+
+A flight has the random numbers of its repeat in every cell, so that flights of two levels are pairs. Of each pair the
+other axes are equal too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jax_aero.base.result import UPRIGHT
+from jax_aero.base.terminal import Refused
+from jax_aero.sweep.intervals import bootstrap, newcombe
+
+COLUMNS = {
+    "share": "completed or landed [percentage points], Newcombe 95 %",
+    "rotation": "max rotation error, median [deg], bootstrap 95 %",
+    "com": "max CoM error, median [cm], bootstrap 95 %",
+}
+"""Whose differences the columns are; each has two more, for the ends of its interval."""
+
+
+def differences(flights: pd.DataFrame, axes: list[str], axis: str) -> pd.DataFrame:
+    """Return the differences of every level of an axis to its first one, a row for each combination of the others.
+
+    Errors are those of pairs of which both flights complete or land.
+    """
+    if axis not in axes or flights[axis].nunique() < 2:
+        raise Refused(f"--paired is {axis}; expected an axis with two levels or more, of {', '.join(axes)}")
+    flights = flights[flights["outcome"] != "error"]
+    others = [name for name in axes if name != axis]
+    reference, *levels = flights[axis].unique()
+    rows = []
+    for labels, mine in flights.groupby(others, sort=False) if others else [((), flights)]:
+        by_repeat = mine.set_index("repeat")
+        first = by_repeat[by_repeat[axis] == reference]
+        for level in levels:
+            pairs = first.merge(by_repeat[by_repeat[axis] == level], on="repeat", suffixes=("", "_2"))
+            named = dict(zip(others, labels, strict=True)) | {axis: f"{level} − {reference}"}
+            rows.append(named | dict(_difference(pairs)))
+    return pd.DataFrame(rows)
+
+
+def _difference(pairs: pd.DataFrame) -> Iterator[tuple[str, Any]]:
+    before, after = (pairs[name].isin(UPRIGHT).to_numpy() for name in ("outcome", "outcome_2"))
+    found = {"share": [100.0 * x for x in newcombe(after, before)]}
+    for name, figure, factor in (("rotation", "max_rotation_error_deg", 1.0), ("com", "max_com_error", 100.0)):
+        change = factor * (pairs[f"{figure}_2"] - pairs[figure]).to_numpy()[before & after]
+        found[name] = list(bootstrap(change[np.isfinite(change)]))
+    yield "pairs", len(pairs)
+    for name, interval in found.items():
+        yield from zip((name, f"{name}_low", f"{name}_high"), interval, strict=True)

@@ -1,0 +1,211 @@
+"""Fly a sweep chunk by chunk, go on with it (`jax_aero.results.work`), or continue it with more repeats.
+
+```text
+sweep.json       sweep, identity, duration and checksums, in `results/sweeps/NAME/`
+table.parquet    every flight       cells.parquet    every cell
+```
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import sys
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jax_aero import backends, rust
+from jax_aero.base import documents, places, plain
+from jax_aero.base.files import checksums, complete_folder, lock_work, resolve, write_bytes, write_json
+from jax_aero.base.kinds import KINDS
+from jax_aero.base.parquet import read_parquet, read_table
+from jax_aero.base.terminal import progress_bar
+from jax_aero.results import manifest, record
+from jax_aero.results.identity import Identity, computed_by
+from jax_aero.results.work import Work
+from jax_aero.sweep import columns, table
+from jax_aero.sweep.cluster import Ray
+from jax_aero.sweep.design import Design
+from jax_aero.sweep.spec import Spec
+
+RESULTS = places.RESULTS / "sweeps"
+
+PRESENTATION = ("title", "description", "drawing", "panels", "axes")
+"""Keys of `SWEEP_FILE` that only affect the figure; a finished sweep takes them from its present file."""
+
+LINE_INTERVAL = 15.0
+"""Time between two reports of the progress if the output is not a terminal [s]."""
+
+SWEEP_FILE, TABLES = places.SWEEP_FILE, KINDS["sweeps"].files
+
+
+def _fly_chunks(
+    design: Design, chunks: list[range], workers: int | None, cluster: Ray | None, progress: rust.Progress
+) -> Iterator[tuple[range, Any]]:
+    """Yield rows and table of every chunk: here, one flight per thread, or on a cluster, one chunk per processor."""
+    if cluster:
+        # The sweep is read and resolved here; nodes only read the robot's files.
+        shared = (design.spec, design.bases)
+        yield from cluster.spread(_fly_remotely, shared, dict(zip(chunks, chunks, strict=True)))
+        return
+    backend = backends.backend(design.spec.backend)
+    for chunk in chunks:
+        yield chunk, fly_chunk(design, chunk, backend, workers, progress)
+
+
+def _fly_remotely(shared: tuple[Spec, Any], chunk: range) -> Any:
+    spec, bases = shared
+    design = Design(spec)
+    vars(design)["bases"] = bases
+    return fly_chunk(design, chunk, backends.backend(spec.backend), threads=1)
+
+
+def fly_chunk(
+    design: Design,
+    chunk: range,
+    backend: backends.Backend,
+    threads: int | None = None,
+    progress: rust.Progress | None = None,
+) -> Any:
+    """Return the table of one chunk."""
+    configs = [design.row_config(row) for row in chunk]
+    flown = backend.fly_batch(configs, threads, progress)
+    return table.rows(design.spec, design.cells, chunk, configs, flown)
+
+
+def run(
+    design: Design,
+    *,
+    workers: int | None = None,
+    cluster: Ray | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Fly the missing chunks of a sweep, here or on a cluster; return its folder."""
+    folder = (out or RESULTS) / design.spec.name
+    with lock_work(folder):
+        _run(design, workers, cluster, resolve(folder), overwrite=overwrite)
+    return folder
+
+
+def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path, *, overwrite: bool) -> None:
+    document = _document(design, folder)
+    # Finished chunks are also those of more repeats, which continue a sweep.
+    work = Work.on(folder, identity_of(design, repeats=1))
+    before = None if overwrite else record.read_manifest(folder, documents.FinishedSweep)
+    repeats = min(before["repeats"], design.spec.repeats) if before else design.spec.repeats
+    is_continued, form = repeats < design.spec.repeats, documents.FinishedSweep
+    identity = identity_of(design, repeats)
+    found = record.find_existing(folder, identity, form, overwrite=overwrite, quiet=is_continued)
+    if found is not None and not is_continued:
+        work.clear()  # in case a process was killed before this
+        if found != (shown_anew := found | {key: document[key] for key in PRESENTATION}):
+            write_json(folder / SWEEP_FILE, shown_anew)
+        return
+    design.check()
+    backends.backend(design.spec.backend)
+    parts = dict(_read_parts(work, design.n_rows))
+    if found is not None:
+        whole = read_table(folder / TABLES[0])
+        parts[range(whole.num_rows)] = whole
+    missing = design.missing(sorted(parts, key=lambda rows: rows.start))
+    flown = sum(map(len, missing))
+    done = design.n_rows - flown
+    if done:
+        print(f"{design.spec.name}: {done} of {design.n_rows} flights are there already", file=sys.stderr)
+    started = time.perf_counter()
+    interval = 0.1 if sys.stderr.isatty() else LINE_INTERVAL
+    with progress_bar("flight", design.spec.name, initial=done, disable=False, mininterval=interval) as show:
+
+        def show_within(flights: int, _: int) -> None:
+            show(done + flights, design.n_rows)
+
+        for chunk, part in _fly_chunks(design, missing, workers, cluster, show_within):
+            content = parquet(part)
+            work.write(f"{chunk.start:07}-{chunk.stop:07}", content)
+            parts[chunk] = read_parquet(content)
+            done += len(chunk)
+            show(done, design.n_rows)
+    in_order = sorted(parts, key=lambda rows: rows.start)
+    whole = pa.concat_tables(parts[rows] for rows in in_order)
+    _write(folder, design, document, whole, flown, time.perf_counter() - started)
+    work.clear()
+
+
+def _read_parts(work: Work, count: int) -> Iterator[tuple[range, Any]]:
+    """Yield the finished chunks of the first `count` rows."""
+    for job in work.jobs():
+        if name := re.fullmatch(r"(\d+)-(\d+)", job):
+            rows = range(int(name[1]), int(name[2]))
+            if rows.stop <= count and (content := work.read(job)) is not None:
+                yield rows, read_parquet(content)
+
+
+def _write(folder: Path, design: Design, document: dict[str, Any], whole: Any, flown: int, seconds: float) -> None:
+    """Write the result from the table of all flights."""
+    of_cells = table.cells(design.spec, design.cells, whole)
+    outcomes = whole["outcome"].to_pylist()
+    if errors := whole["error"].drop_null().to_pylist():
+        print(f"{design.spec.name}: {len(errors)} flights could not be flown, first: {errors[0]}", file=sys.stderr)
+    with complete_folder(folder, replace=True) as draft:
+        for name, content in zip(TABLES, (whole, of_cells), strict=True):
+            write_bytes(draft / name, parquet(content))
+        finished = {
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "flights": flown,
+            "seconds": round(seconds, 3),
+            "flights_per_minute": round(60.0 * flown / seconds, 1) if flown else None,
+            "outcomes": {outcome: outcomes.count(outcome) for outcome in (*columns.OUTCOMES, "error")},
+            "files": checksums(draft),
+        }
+        write_json(draft / SWEEP_FILE, document | {"finished": finished})
+
+
+def parquet(content: pa.Table) -> bytes:
+    """Return a table as a Parquet file."""
+    stream = io.BytesIO()
+    pq.write_table(content, stream, compression="zstd")
+    return stream.getvalue()
+
+
+def _document(design: Design, folder: Path) -> dict[str, Any]:
+    return {
+        **describe(design.spec),
+        "file": os.path.relpath(design.file, folder) if design.file else None,
+        "rows": design.n_rows,
+        **identity_of(design).facts,
+        "git": manifest.git_state(),
+        "versions": manifest.versions(design.spec.backend),
+        "device": manifest.device(),
+    }
+
+
+def describe(spec: Spec) -> dict[str, Any]:
+    """Return the part of `SWEEP_FILE` that comes from the file of a sweep."""
+    keys = ("name", "title", "description", "drawing", "panels", "design", "seed", "repeats", "chunk", "backend")
+    perturbation = plain.to_builtins(spec.perturbation)
+    flown: dict[str, Any] = manifest.make_portable(
+        {"base": spec.base, "set": dict(spec.set), "perturbation": perturbation}
+    )
+    axes = [
+        {
+            "name": axis.name,
+            "label": axis.label or axis.name,
+            "unit": axis.unit,
+            "levels": [level.label for level in axis.levels],
+        }
+        for axis in spec.axes
+    ]
+    return {key: getattr(spec, key) for key in keys} | {"axes": axes} | flown
+
+
+def identity_of(design: Design, repeats: int | None = None) -> Identity:
+    """Return the identity of a sweep, also with other repeats; rows of different ones must not be in one table."""
+    return Identity(design.digest_of(repeats or design.spec.repeats), computed_by(design.spec.backend))
