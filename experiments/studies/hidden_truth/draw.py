@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.identify import excite
-from experiments.study import find
-from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
 from jax_aero.base import plain, tables
+from jax_aero.identify import excite
+from jax_aero.results.study import find
+from jax_aero.sweep.perturbation import Perturbation
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ WINDS: dict[str, dict[str, Any]] = {
 MISSIONS = ("excitation", "paper", "hover")
 """`--excite` of all axes; that of `EXPERIMENT`, as long as it lasts; no command for 60 s."""
 LINK_MASS, LINK_CENTRE, LINK_INERTIA = 0.03, 0.003, 0.08
-"""Outside: of every link's mass, relative, its centre along each axis [m], and its inertia beside its mass, relative."""
+"""Outside: of every link's mass, relative, its centre along each axis [m], its inertia beside its mass, relative."""
 LOAD, LOAD_LINK, LOAD_PLACE = 1.0, "chest", ((-0.1, 0.0, -0.15), (0.1, 0.2, 0.05))
 """Outside: a ball of 3 cm [kg], the link on which it is, and the corners of where, in its axes [m]."""
 
@@ -104,7 +104,7 @@ def write_outside(source: Path, folder: Path, rng: np.random.Generator) -> Path:
         origin.set("xyz", _text(place + rng.uniform(-LINK_CENTRE, LINK_CENTRE, 3)))
     load = ET.SubElement(ET.SubElement(tree, "link", name="load"), "inertial")
     ET.SubElement(load, "mass", value=_text([LOAD]))
-    ET.SubElement(load, "inertia", dict(ixx="4e-4", iyy="4e-4", izz="4e-4", ixy="0", ixz="0", iyz="0"))
+    ET.SubElement(load, "inertia", {"ixx": "4e-4", "iyy": "4e-4", "izz": "4e-4", "ixy": "0", "ixz": "0", "iyz": "0"})
     joint = ET.SubElement(tree, "joint", name="load", type="fixed")
     ET.SubElement(joint, "parent", link=LOAD_LINK)
     ET.SubElement(joint, "child", link="load")
