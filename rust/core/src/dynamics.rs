@@ -14,7 +14,7 @@
 use crate::kinematics::{Kinematics, RobotState};
 use crate::linalg;
 use crate::robot::RobotModel;
-use crate::spatial::skew;
+use crate::spatial::{parts, skew};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3, Vector6};
 
 /// Mass, first moment and inertia of a set of bodies about the base origin, inertial axes.
@@ -93,6 +93,29 @@ impl Dynamics {
         self.update_composites(robot, kinematics);
         self.update_mass_and_momentum_matrix(kinematics);
         self.momentum.gemv(1.0, &self.momentum_matrix, &state.velocity, 0.0);
+    }
+
+    /// Adds the acceleration of the robot as one body under a wrench about its centre of mass \[N, N m\], whose joints keep
+    /// theirs; none where the inertia is not positive definite.
+    ///
+    /// ```text
+    /// ( f/m − α × (p_G − p_B), α, 0 ),   α = I_G⁻¹ μ
+    /// ```
+    pub fn add_whole_acceleration(
+        &self,
+        kinematics: &Kinematics,
+        wrench: &Vector6<f64>,
+        acceleration: &mut DVector<f64>,
+    ) {
+        let Some(inertia) = self.centroidal_inertia.cholesky() else { return };
+        let (force, moment) = parts(wrench);
+        let angular = inertia.solve(&moment);
+        let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
+        let linear = force / kinematics.mass() - angular.cross(&arm);
+        for axis in 0..3 {
+            acceleration[axis] += linear[axis];
+            acceleration[3 + axis] += angular[axis];
+        }
     }
 
     /// `J̇ ν` of the point of `body` that is now at `point_i`: its linear and angular acceleration for ν̇ = 0

@@ -421,6 +421,40 @@ fn an_unmodelled_wrench_moves_the_whole_robot() {
     assert_within!(difference.rows(6, 23).amax(), 1e-9, because "corrections by 1e-11 of what differs");
 }
 
+/// After a restart the last inputs stand for all before: what came earlier changes nothing.
+#[test]
+fn a_restart_forgets_all_but_the_last_inputs() {
+    let (_, settings) = ages();
+    let late = LatencyConfig { torque: 0.03, thrust: 0.05 };
+    let config = flight(EstimatorConfig { latency: late, ..settings });
+    let robot = load_robot(&config.robot).unwrap();
+    let aero = load_aero(&config.controller.aero, &robot).unwrap();
+    let settings = config.controller.law.estimator.as_ref().unwrap();
+    let mut law = Estimator::new(settings, robot, JetDynamics::Ideal, aero, STEP).unwrap();
+    let first = reading(&config.simulator.initial.state(), &config.simulator.initial.thrust);
+    let mut restarted = |ticks: u8, earlier: f64| {
+        let mut state = law.start(&first);
+        let (mut innovation, mut rates) = (vec![0.0; 4], vec![0.0; 4]);
+        let mut acting = Acting::new(first.state.n_joints(), 4, 2);
+        for tick in 0..=ticks {
+            if tick == ticks {
+                state.restart();
+            }
+            state.next_measurement().clone_from(&first);
+            law.update(&mut state, STEP, &mut innovation, &mut rates);
+            acting.thrust_rate.fill(if tick + 1 == ticks { 20.0 } else { earlier });
+            state.command(&acting, &Vector6::zeros(), &WIND);
+        }
+        (rates, innovation)
+    };
+    // More ticks than inputs are stored, and fewer.
+    for ticks in [3, 25, 26] {
+        let found = restarted(ticks, 0.0);
+        assert_eq!(found, restarted(ticks, -50.0));
+        assert_eq!(found.0, [20.0; 4]);
+    }
+}
+
 /// Thrusts that are not what they seem push the arms: without learning that, the joints' velocities are wrong all the time.
 /// The observer finds both from positions alone, its velocities are those of no sensor.
 #[test]

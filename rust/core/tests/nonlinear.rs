@@ -2,12 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use crate::common::{Running, assert_says, at, experiment, random_state, rng};
+use crate::common::{Loop, Running, assert_says, at, experiment, random_state, rng};
 use flight_core::Measurement;
 use flight_core::aero::LinkConventions;
 use flight_core::control::Present;
 use flight_core::control::config::ControllerConfig;
+use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::mpc::clearance::Clearance;
+use flight_core::control::mpc::config::Air;
 use flight_core::control::mpc::nonlinear::knot::{Expansion, Knot, State, World};
 use flight_core::control::mpc::nonlinear::riccati::Riccati;
 use flight_core::jets::JetDynamics;
@@ -114,6 +116,58 @@ fn the_expansion_is_that_of_differences() {
             let scale = 1.0 + expected.abs();
             assert!((found - expected).abs() <= 1e-4 * scale, "cost by {column}: {found}, {expected}");
         }
+    }
+}
+
+/// Whatever part of the air the law's momentum rate has, the plan begins with that rate: the air that is observed does not
+/// count twice. Where the air stays, it is that of the beginning.
+#[test]
+fn a_plan_begins_with_the_momentum_rate_of_the_law() {
+    use RateFeedback::{Force, Moment, None, Wrench};
+    let wind = Vector3::new(0.0, -10.0, 0.0);
+    for (part, air) in
+        [(Wrench, Air::Linear), (Force, Air::Linear), (Moment, Air::Constant), (None, Air::Linear)]
+    {
+        let mut config = experiment("robot");
+        let law = &mut config.controller.law;
+        law.aero_feedback.momentum_rate = part;
+        let mpc = law.mpc.clone().unwrap();
+        let mut flight = Loop::new(&config);
+        flight.run(0.5, |_| wind);
+        let (controller, estimate) = (&flight.controller, flight.controller.state().estimate());
+        let (terms, robot) = (controller.terms(), controller.model());
+        assert!(part == Wrench || terms.momentum.unmodelled_wrench.norm() > 0.5);
+        let mut aero = load_aero(&config.controller.aero, robot).unwrap();
+        let joints = mpc.joints(robot).unwrap();
+        let clearance = Clearance::new(mpc.clearance.as_ref(), robot, joints.len()).unwrap();
+        let jets = robot.jet_models(config.controller.law.jet_dynamics);
+        let mut knot = Knot::new(&mpc, robot, jets, joints, clearance);
+        let world = World {
+            robot,
+            conventions: LinkConventions::default(),
+            air,
+            now: Present { estimate, terms },
+            posture: controller.state().posture(),
+            ground: 0.0,
+            speed: 0.5,
+        };
+        knot.begin(&world);
+        let mut state = State::new(4, knot.joints.len());
+        state.set_from(&world.now, &knot.joints);
+        let (n, m) = (state.size(), knot.bounds.len());
+        let mut inputs = vec![0.5; m];
+        for (input, joint) in inputs[4..].iter_mut().zip(&knot.joints) {
+            *input = estimate.robot.state.joint_velocity()[*joint];
+        }
+        let (mut next, mut expansion, h) = (state.clone(), Expansion::new(n, m), 1e-6);
+        knot.advance(&mut aero, &world, (&state, &inputs), (h, h), &mut next, &mut expansion).unwrap();
+        let rate = &terms.momentum.rate_estimate;
+        let force = (next.velocity - state.velocity) * (terms.kinematics.mass() / h);
+        let moment = (next.momentum - state.momentum) / h;
+        // A velocity near 1 m/s rounds by 1e-16, which makes 1e-8 N of it; h F ẋ is 1e-3 N; joints that the plan does not move
+        // are at rest there.
+        let error = (force - rate.fixed_rows::<3>(0)).amax().max((moment - rate.fixed_rows::<3>(3)).amax());
+        assert!(error < 0.05, "{part:?}: {force} {moment}, {rate}");
     }
 }
 

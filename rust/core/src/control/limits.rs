@@ -49,6 +49,8 @@ pub struct Limits {
     pub holds_position: bool,
     /// Least and greatest thrust of each jet \[N\].
     pub thrust: Vec<(f64, f64)>,
+    /// Whether each engine works: it reaches these thrusts as its model does.
+    pub works: Vec<bool>,
     /// Greatest velocity of each joint \[rad/s, m/s\].
     pub joint_velocity: Vec<f64>,
     /// Greatest torque rate of each joint \[N m/s, N/s\].
@@ -65,6 +67,7 @@ impl Limits {
             gains,
             holds_position: true,
             thrust: robot.jets.iter().map(|jet| (jet.thrust_min, jet.thrust_max)).collect(),
+            works: vec![true; robot.jets.len()],
             joint_velocity: robot.joints.iter().map(|joint| joint.velocity_max).collect(),
             torque_rate: robot.joints.iter().map(|joint| joint.torque_rate_max).collect(),
             joints: vec![JointCondition::Healthy; robot.joints.len()],
@@ -73,9 +76,10 @@ impl Limits {
 
     /// Copies the limits of the same robot; does not allocate.
     pub fn copy_from(&mut self, other: &Self) {
-        let Self { gains, holds_position, thrust, joint_velocity, torque_rate, joints } = other;
+        let Self { gains, holds_position, thrust, works, joint_velocity, torque_rate, joints } = other;
         (self.gains, self.holds_position) = (*gains, *holds_position);
         self.thrust.copy_from_slice(thrust);
+        self.works.copy_from_slice(works);
         self.joint_velocity.copy_from_slice(joint_velocity);
         self.torque_rate.copy_from_slice(torque_rate);
         self.joints.copy_from_slice(joints);

@@ -399,7 +399,9 @@ impl Engines {
         });
         let chosen = descending.filter(|_| !is_standing).map_or(&self.usual, |(_, limits)| limits);
         limits.copy_from(chosen);
-        for ((engine, (thrust_min, thrust_max)), range) in thrusts().zip(&mut limits.thrust) {
+        let of_law = limits.thrust.iter_mut().zip(&mut limits.works);
+        for ((engine, (thrust_min, thrust_max)), (range, works)) in thrusts().zip(of_law) {
+            *works = !engine.is_limited();
             let greatest = engine.range.1.min(*thrust_max);
             *range = (engine.range.0.max(*thrust_min).min(greatest), greatest);
         }

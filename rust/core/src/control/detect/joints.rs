@@ -19,7 +19,6 @@ use crate::control::limits::{JointCondition, Limits};
 use crate::control::measure::measurement::Estimate;
 use crate::control::modes::{Mode, Modes, modes};
 use crate::robot::RobotModel;
-use crate::spatial::parts;
 use crate::timing::{Exceeded, share};
 use nalgebra::{DVector, Vector3};
 use serde::{Deserialize, Serialize};
@@ -141,13 +140,8 @@ impl Joints {
         {
             *to = (now - before) / estimate.elapsed - predicted;
         }
+        dynamics.add_whole_acceleration(kinematics, &momentum.unmodelled_wrench, &mut self.unexplained);
         self.residual.gemv(1.0, &dynamics.mass_matrix, &self.unexplained, 0.0);
-        let (force, moment) = parts(&momentum.unmodelled_wrench);
-        let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
-        let mut rows = self.residual.fixed_rows_mut::<3>(0);
-        rows += force;
-        let mut rows = self.residual.fixed_rows_mut::<3>(3);
-        rows += moment + arm.cross(&force);
         JointSample {
             dt: estimate.elapsed,
             residual: &self.residual,

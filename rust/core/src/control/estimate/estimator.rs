@@ -26,7 +26,7 @@ use crate::error::BuildError;
 use crate::jets::{JetDynamics, JetModel};
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
-use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
+use crate::spatial::{GREATEST, exp_so3, log_so3, project_to_so3};
 use crate::timing::share;
 use nalgebra::{DVector, Vector3, Vector6};
 
@@ -133,23 +133,14 @@ impl Model {
             return;
         }
         mass_factor.solve_in_place(acceleration);
-        // The unmodelled wrench moves the robot as one body, because the point where it acts is unknown. Unexplained
-        // joint accelerations are internal and must not change the momentum.
+        // The point where the unmodelled wrench acts is unknown. Unexplained joint accelerations are internal and must not
+        // change the momentum.
         let mut wrench = order.unmodelled;
         for (joint, extra) in disturbance.iter().enumerate() {
             acceleration[6 + joint] += extra;
             wrench -= dynamics.momentum_matrix.column(6 + joint) * *extra;
         }
-        if let Some(inertia) = dynamics.centroidal_inertia.cholesky() {
-            let (force, moment) = parts(&wrench);
-            let angular = inertia.solve(&moment);
-            let arm = kinematics.com - state.base.position;
-            let linear = force / kinematics.mass() - angular.cross(&arm);
-            for axis in 0..3 {
-                acceleration[axis] += linear[axis];
-                acceleration[3 + axis] += angular[axis];
-            }
-        }
+        dynamics.add_whole_acceleration(kinematics, &wrench, acceleration);
         state.velocity.axpy(duration, acceleration, 1.0);
         state.advance_pose(duration);
         for (index, ((thrust, rate), jet)) in thrust.iter_mut().zip(rates).zip(jets).enumerate() {
@@ -459,8 +450,11 @@ impl EstimatorState {
         &mut self.line[self.ticks % length]
     }
 
-    /// Restarts from the next measurement, because the estimates before it are worth nothing.
+    /// Restarts from the next measurement, because the estimates before it are worth nothing. The last inputs stand for all
+    /// before.
     pub fn restart(&mut self) {
+        let last = self.last();
+        self.orders.swap(0, last);
         self.ticks = 0;
     }
 
@@ -496,8 +490,13 @@ impl EstimatorState {
     }
 
     fn last_order(&mut self) -> &mut Order {
-        let length = self.orders.len();
-        &mut self.orders[(self.ticks + length - 1) % length]
+        let last = self.last();
+        &mut self.orders[last]
+    }
+
+    /// Place of the last inputs.
+    fn last(&self) -> usize {
+        (self.ticks + self.orders.len() - 1) % self.orders.len()
     }
 }
 

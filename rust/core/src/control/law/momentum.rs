@@ -127,21 +127,35 @@ impl MomentumModel {
         }
         self.lambda_t.add_to(&self.lambda_a, &mut self.lambda);
 
-        self.rate_estimate.fill(0.0);
+        self.rate_estimate = self.rate(robot, kinematics, thrust, link_forces, feedback.momentum_rate);
+        self.measured_rate = self.rate_estimate;
+        self.unmodelled_wrench.fill(0.0);
+    }
+
+    /// Momentum rate by thrusts, a part of the air, and weight \[N, N m\].
+    #[must_use]
+    pub fn rate(
+        &self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        thrust: &[f64],
+        link_forces: &LinkForces,
+        air: RateFeedback,
+    ) -> Vector6<f64> {
+        let mut rate = Vector6::zeros();
         for (column, thrust) in self.a_t.column_iter().zip(thrust) {
-            self.rate_estimate += column * *thrust;
+            rate += column * *thrust;
         }
         let (force, moment) = link_forces.wrench_about(&kinematics.com);
         let none = Vector3::zeros();
-        self.rate_estimate += match feedback.momentum_rate {
+        rate += match air {
             RateFeedback::Wrench => stack(&force, &moment),
             RateFeedback::Force => stack(&force, &none),
             RateFeedback::Moment => stack(&none, &moment),
             RateFeedback::None => stack(&none, &none),
         };
-        self.rate_estimate[2] -= kinematics.mass() * robot.gravity;
-        self.measured_rate = self.rate_estimate;
-        self.unmodelled_wrench.fill(0.0);
+        rate[2] -= kinematics.mass() * robot.gravity;
+        rate
     }
 
     /// Adds the observed wrench `ŵ` to the momentum rate.

@@ -82,8 +82,6 @@ pub struct Prediction {
     pub(super) joints: usize,
     gains: (f64, f64),
     models: Vec<JetModel>,
-    /// Range of every thrust while its engine works \[N\].
-    usual: Vec<(f64, f64)>,
     /// Of each jet, then of every joint.
     chains: Vec<Chain>,
     answers: Vec<Answers>,
@@ -144,7 +142,6 @@ impl Prediction {
             joints,
             gains,
             models,
-            usual: robot.jets.iter().map(|jet| (jet.thrust_min, jet.thrust_max)).collect(),
             chains,
             answers,
             now: vec![Vector3::zeros(); jets + joints],
@@ -217,7 +214,7 @@ impl Prediction {
             self.chains[jet] =
                 Chain::of_engine(engine, estimate.robot.thrust[jet], estimate.thrust_rate[jet]);
             self.answers[jet].update(&self.chains[jet], self.series, &self.power);
-            if self.works(jet, now) {
+            if now.terms.limits.works[jet] {
                 self.now[jet][1] = estimate.thrust_rate[jet];
             }
         }
@@ -232,11 +229,6 @@ impl Prediction {
         }
     }
 
-    /// Whether an engine reaches all its thrusts.
-    fn works(&self, jet: usize, now: Present) -> bool {
-        now.terms.limits.thrust[jet] == self.usual[jet]
-    }
-
     /// States of the chains at the beginning of a knot, without inputs.
     fn before(&self, knot: usize) -> &[Vector3<f64>] {
         knot.checked_sub(1).map_or(&self.now, |last| &self.free[last])
@@ -247,7 +239,7 @@ impl Prediction {
     #[must_use]
     pub fn input_range(&self, knot: usize, jet: usize, now: Present) -> Option<(f64, f64)> {
         let engine = self.models[jet].engine?;
-        if !self.works(jet, now) {
+        if !now.terms.limits.works[jet] {
             return Some((0.0, 0.0));
         }
         let state = self.before(knot)[jet];

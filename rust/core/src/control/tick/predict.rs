@@ -4,7 +4,6 @@ use super::Controller;
 use crate::control::law::contact::WRENCH;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
-use crate::spatial::parts;
 use nalgebra::Vector6;
 
 impl Controller {
@@ -23,10 +22,12 @@ impl Controller {
     }
 
     /// Predicts the acceleration under the command, for the channels of the next tick (M101):
-    /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, with the observed wrench `ŵ` on the base.
+    /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ − h)`, and what the observed wrench gives the robot as one body.
     fn predict_acceleration(&mut self, state: &mut ControllerState) {
         let Self { model, terms, command, .. } = self;
-        let Terms { kinematics, inverse_mass, free_acceleration, momentum, contact, limits, .. } = terms;
+        let Terms {
+            kinematics, dynamics, inverse_mass, free_acceleration, momentum, contact, limits, ..
+        } = terms;
         let acting = &mut state.acting;
         acting.thrust_rate.copy_from(&command.thrust_rate);
         acting.joints.copy_from_slice(&limits.joints);
@@ -36,10 +37,6 @@ impl Controller {
         let acceleration = &mut acting.acceleration;
         acceleration.fill(0.0);
         if inverse_mass.is_known {
-            let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
-            let (force, moment) = parts(&momentum.unmodelled_wrench);
-            acceleration.fixed_rows_mut::<3>(0).copy_from(&force);
-            acceleration.fixed_rows_mut::<3>(3).copy_from(&(moment + arm.cross(&force)));
             acceleration.rows_mut(6, acting.torque.len()).copy_from(&acting.torque);
             // The wrenches that keep the feet at rest, because those of an impact last for less than a tick.
             let wrenches = acting.foot_wrenches.as_slice().chunks_exact(WRENCH);
@@ -49,6 +46,7 @@ impl Controller {
             }
             inverse_mass.multiply_in_place(acceleration);
             *acceleration += &*free_acceleration;
+            dynamics.add_whole_acceleration(kinematics, &momentum.unmodelled_wrench, acceleration);
         }
     }
 

@@ -1,12 +1,12 @@
 //! The dynamics at a knot, the motion to the next one, and the cost, both expanded.
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
-use crate::control::law::momentum::{AeroFeedback, MomentumModel};
+use crate::control::law::momentum::{AeroFeedback, MomentumModel, RateFeedback};
 use crate::control::measure::measurement::Measurement;
 use crate::control::mpc::clearance::{self, Clearance};
 use crate::control::mpc::config::{Air, JOINT_EXCESS, MpcConfig};
 use crate::control::mpc::model::{self, Linearised};
-use crate::control::terms::Present;
+use crate::control::terms::{Present, Terms};
 use crate::dynamics::Dynamics;
 use crate::jets::JetModel;
 use crate::kinematics::Kinematics;
@@ -22,7 +22,7 @@ pub struct World<'a> {
     pub robot: &'a RobotModel,
     /// Points at which its links' forces act.
     pub conventions: LinkConventions,
-    /// Whether the wrench of the air changes in the expansion.
+    /// Whether the wrench of the air changes along the plan.
     pub air: Air,
     /// Where the plan begins.
     pub now: Present<'a>,
@@ -32,6 +32,16 @@ pub struct World<'a> {
     pub ground: f64,
     /// Speed of the descent \[m/s\].
     pub speed: f64,
+}
+
+impl Air {
+    /// Part of the air that the momentum rate of a knot computes.
+    fn in_rate(self) -> RateFeedback {
+        match self {
+            Self::Linear => RateFeedback::Wrench,
+            Self::Constant => RateFeedback::None,
+        }
+    }
 }
 
 /// Places in the state: velocity, rotation, angular momentum, thrusts.
@@ -187,6 +197,8 @@ pub struct Knot {
     pub joints: Vec<usize>,
     jets: Vec<JetModel>,
     works: Vec<bool>,
+    /// What the law's momentum rate has at the beginning beside that of the knots: observed, or the air as it stays \[N, N m\].
+    beyond: Vector6<f64>,
     /// Limits of the inputs.
     pub bounds: Vec<(f64, f64)>,
     robot: Measurement,
@@ -216,6 +228,7 @@ impl Knot {
         let (n, m) = (T + 2 * jets.len() + joints.len(), jets.len() + joints.len());
         Self {
             works: vec![true; jets.len()],
+            beyond: Vector6::zeros(),
             bounds: vec![(0.0, 1.0); m],
             robot: Measurement::zero(robot.joints.len(), jets.len(), 0),
             kinematics: Kinematics::new(robot),
@@ -240,11 +253,14 @@ impl Knot {
         self.robot.state.copy_from(&estimate.robot.state);
         self.robot.state.velocity.fill(0.0);
         self.robot.wind = estimate.robot.wind;
+        let Terms { kinematics, link_forces, momentum, .. } = terms;
+        let thrust = &estimate.robot.thrust;
+        self.beyond = momentum.rate_estimate
+            - momentum.rate(world.robot, kinematics, thrust, link_forces, world.air.in_rate());
         let jets = self.jets.len();
-        for (jet, works) in self.works.iter_mut().enumerate() {
-            let of_jet = &world.robot.jets[jet];
-            *works = terms.limits.thrust[jet] == (of_jet.thrust_min, of_jet.thrust_max);
-            self.bounds[jet] = (0.0, f64::from(u8::from(*works)));
+        self.works.copy_from_slice(&terms.limits.works);
+        for (bound, works) in self.bounds.iter_mut().zip(&self.works) {
+            *bound = (0.0, f64::from(u8::from(*works)));
         }
         for (bound, joint) in self.bounds[jets..].iter_mut().zip(&self.joints) {
             let most = terms.limits.joint_velocity[*joint];
@@ -326,7 +342,8 @@ impl Knot {
         momentum.fixed_rows_mut::<3>(3).copy_from(&state.momentum);
         self.kinematics.update(robot, &of.state);
         self.link_forces.update(robot, &self.kinematics, world.conventions, aero, &of.wind);
-        let feedback = AeroFeedback { lambda: false, ..AeroFeedback::default() };
+        let feedback =
+            AeroFeedback { momentum_rate: world.air.in_rate(), lambda: false, ..AeroFeedback::default() };
         self.momentum.update(
             robot,
             &self.kinematics,
@@ -342,9 +359,7 @@ impl Knot {
             momentum: &self.momentum,
             link_forces: &self.link_forces,
         };
-        self.model
-            .update_at(robot, aero, world.air, point)
-            .then(|| self.momentum.rate_estimate + world.now.terms.momentum.unmodelled_wrench)
+        self.model.update_at(robot, aero, world.air, point).then(|| self.momentum.rate_estimate + self.beyond)
     }
 
     /// `ẋ` and its derivatives.
