@@ -29,6 +29,7 @@ from jax_aero.results import manifest, overrides, record, study
 from jax_aero.results.identity import PYTHON, Identity
 from jax_aero.results.work import Work
 from jax_aero.train import config, parts, result
+from jax_aero.train.loop import ERROR_UNIT
 from jax_aero.train.parts import FinishedPart
 
 RESULTS = places.RESULTS / "training"
@@ -61,7 +62,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         dataset = dataset.add_mirror_images()
     named = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
     folder = resolve(named)
-    asked = {"training": document, "data": dataset.sha256}
+    asked = {"training": document, "error": ERROR_UNIT, "data": dataset.sha256}
     identity = Identity.of(asked, [training.robot], [PYTHON])
     with lock_work(folder):
         found = record.find_existing(folder, identity, documents.Training, overwrite=given.overwrite)

@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 from jax_aero.aero.dataset import Dataset, Floats
 from jax_aero.aero.network import init_network
 from jax_aero.body.robot import RobotModel
+from jax_aero.train.loss import mean_square
 from jax_aero.train.samples import samples_of
 
 AXISYMMETRIC = ("published", "corrected", "signed", "estimated")
@@ -17,7 +18,7 @@ NEIGHBOURS = 4
 
 
 def baseline_errors(robot: RobotModel, training: Dataset, validation: Dataset) -> dict[str, float]:
-    """Return mean squared errors [m⁴] over the components of the validation rows, by model.
+    """Return mean squared errors [m⁴] of the validation rows, summed over components, by model.
 
     `nearest` is the mean of the four nearest training rows, weighted by the inverse distance in wind (unit vector) and
     joints (degrees / 180); `linear` is a least-squares map from the same 22 numbers.
@@ -29,11 +30,11 @@ def baseline_errors(robot: RobotModel, training: Dataset, validation: Dataset) -
     distance, index = KDTree(x).query(x_new, k=NEIGHBOURS)
     weight = 1.0 / (distance + 1e-6)
     nearest = (y[index] * weight[..., None]).sum(axis=1) / weight.sum(axis=1, keepdims=True)
-    found["nearest"] = float(np.mean((nearest - y_new) ** 2))
+    found["nearest"] = mean_square(nearest - y_new)
     ones = np.ones((len(x), 1))
     solution = np.linalg.lstsq(np.hstack([x, ones]), y, rcond=None)[0]
     linear = np.hstack([x_new, np.ones((len(x_new), 1))]) @ solution
-    return found | {"linear": float(np.mean((linear - y_new) ** 2))}
+    return found | {"linear": mean_square(linear - y_new)}
 
 
 def _inputs_and_targets(dataset: Dataset) -> tuple[Floats, Floats]:
@@ -45,4 +46,4 @@ def _axisymmetric(robot: RobotModel, coefficients: str, dataset: Dataset) -> flo
     rows = robot.aero_links.coefficients[coefficients]
     bare = init_network(jax.random.key(0), robot, hidden=(), blocks=("wind",), baseline=rows)
     left = samples_of(bare, robot, dataset).y.astype(np.float64)
-    return float(np.mean(left**2))
+    return mean_square(left)

@@ -61,6 +61,9 @@ class Settings(tables.Table, frozen=True):
         return hash(msgspec.json.encode(self))
 
 
+ERROR_UNIT = "m^4, sum over components, mean over rows"
+"""Unit of losses and errors, of cards too."""
+
 Curve: TypeAlias = tuple[int, float, float | None]
 """Completed epochs, training loss (with dropout and noise, mean over the epoch), validation loss [m⁴] if any."""
 
@@ -185,13 +188,15 @@ def _keep(path: Path, digest: str, now: _Now) -> None:
 
 
 def validation_error(network: Network, samples: Samples) -> float:
-    """Return the mean squared error [m⁴] of the network as in flight: without dropout and noise, symmetrised if it is.
+    """Return the mean squared error [m⁴] of the network, summed over components.
+
+    As in flight: without dropout and noise, symmetrised if it is.
 
     Matrix products have the precision of flight, whatever precision training uses.
     """
     with jax.default_matmul_precision("highest"):
         total = sum(float(_sum_of_squares(network, x, y, count)) for count, (x, y) in chunks(samples.x, samples.y))
-    return total / samples.y.size
+    return total / len(samples.y)
 
 
 @jax.jit
@@ -258,7 +263,7 @@ def _noise(network: Network, settings: Settings) -> Array:
 
 
 def _digest(network: Network, training: Samples, validation: Samples | None, settings: Settings, seed: int) -> str:
-    total = hashlib.sha256(json.dumps([plain.to_builtins(settings), seed], sort_keys=True).encode())
+    total = hashlib.sha256(json.dumps([plain.to_builtins(settings), ERROR_UNIT, seed], sort_keys=True).encode())
     shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
     total.update(repr(shape).encode())
     for array in (*training, *(validation or ()), *jax.tree.leaves(network.layers)):

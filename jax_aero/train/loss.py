@@ -1,4 +1,4 @@
-"""Output of a network for a batch, with the noise of training, and its mean squared error."""
+"""Output of a network for a batch, with the noise of training, and its mean squared error, summed over components."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Key
 
+from jax_aero.aero.dataset import Floats
 from jax_aero.aero.network import ACTIVATIONS, Layer
 from jax_aero.types import Array
 
@@ -39,5 +41,10 @@ def batch_output(
 
 
 def mean_squared_error(output: Float[Array, "m B y"], y: Float[Array, "B y"]) -> Float[Array, ""]:
-    """Return the mean over members, rows and components of `(output − y)²`."""
-    return jnp.mean((output - y) ** 2)
+    """Return the mean over members and rows of the paper's loss, the sum over components of `(output − y)²`."""
+    return jnp.mean(jnp.sum((output - y) ** 2, axis=-1))
+
+
+def mean_square(errors: Floats) -> float:
+    """Return the same of errors (rows, ...) of rows: the mean over rows of the sum of their squares."""
+    return float(np.mean(np.sum(errors.reshape(len(errors), -1) ** 2, axis=1)))

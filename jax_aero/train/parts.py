@@ -31,6 +31,7 @@ from jax_aero.train import (
     save_checkpoint,
 )
 from jax_aero.train.config import Training
+from jax_aero.train.loss import mean_square
 
 OnEpoch = Callable[[float, float | None], None]
 
@@ -117,7 +118,7 @@ def run(
         )
         network = fit_part("student", taught, how.training, first + len(members)).network
     errors: dict[str, Any] = {
-        "train_mse": float(np.mean((predict_areas(network, robot, rows) - rows.force_area_b) ** 2)),
+        "train_mse": mean_square(predict_areas(network, robot, rows) - rows.force_area_b),
         "seconds": time.perf_counter() - started,
         "seconds_per_epoch": float(np.median([one.seconds_per_epoch for one in found])),
         "rows": len(rows),
@@ -129,7 +130,7 @@ def run(
         teachers = predict_areas(mean_of(members), robot, held_out) if training.distillation else predicted
         areas = predicted.astype(np.float32)
         errors |= _errors(robot, predicted, held_out) | {"baselines": baseline_errors(robot, rows, held_out)}
-        errors["ensemble_mse"] = float(np.mean((teachers - held_out.force_area_b) ** 2))
+        errors["ensemble_mse"] = mean_square(teachers - held_out.force_area_b)
     return FinishedPart(part, errors, areas, curves), network
 
 
@@ -143,18 +144,18 @@ def mean_of(members: list[Network]) -> Network:
 
 
 def _errors(robot: RobotModel, predicted: Floats, held_out: Dataset) -> dict[str, Any]:
-    square = (predicted - held_out.force_area_b) ** 2
-    spread = float(np.mean((held_out.force_area_b - held_out.force_area_b.mean(axis=0)) ** 2))
-    off = total_wrench(robot, held_out.joint_position(robot), predicted - held_out.force_area_b)
+    error = predicted - held_out.force_area_b
+    spread = mean_square(held_out.force_area_b - held_out.force_area_b.mean(axis=0))
+    off = total_wrench(robot, held_out.joint_position(robot), error)
     present = total_wrench(robot, held_out.joint_position(robot), held_out.force_area_b)
     return {
-        "mse": float(square.mean()),
-        "r2": 1.0 - float(square.mean()) / spread,
+        "mse": mean_square(error),
+        "r2": 1.0 - mean_square(error) / spread,
         "whole_robot_rms": vector_rms(off.force_area),
         "moment_rms": vector_rms(off.moment_volume),
         "moment_present_rms": vector_rms(present.moment_volume),
-        "by_posture": {name: float(square[held_out.posture == name].mean()) for name in held_out.postures},
-        "by_link": [float(value) for value in square.mean(axis=(0, 2))],
+        "by_posture": {name: mean_square(error[held_out.posture == name]) for name in held_out.postures},
+        "by_link": [mean_square(error[:, link]) for link in range(error.shape[1])],
     }
 
 

@@ -20,6 +20,7 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.data import fit
 from jax_aero.data.import_cfd import COMMIT
 from jax_aero.results import record
+from jax_aero.train.loop import ERROR_UNIT
 from jax_aero.train.parts import FinishedPart
 from jax_aero.train.samples import predict_areas
 
@@ -178,7 +179,7 @@ def card_facts(
         "seed": seed,
         "epochs": epochs,
         "errors": plain,
-        "error_unit": f"m^4, mean over {len(dataset.links)} x 3 components of held-out rows",
+        "error_unit": ERROR_UNIT,
         "baselines": baselines,
         "note": next((note for word, note in NOTES.items() if word in source_text), OTHER_NOTE),
     }

@@ -95,7 +95,7 @@ def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_d
     # Whole postures, their mirror images with them, and no others.
     assert len(set(table["posture"].values[held])) == 4
     assert not set(table["posture"].values[held]) & set(table["posture"].values[~held])
-    mse = np.mean((predicted[held] - table["area"].values[held]) ** 2)
+    mse = np.mean(np.sum((predicted[held] - table["area"].values[held]) ** 2, axis=(1, 2)))
     agree("grouped error", errors["grouped"]["mse"], mse, 1e-5)
     elsewhere = [value for name, value in errors["grouped"]["by_posture"].items() if name != "posture0"]
     agree("error at other postures", errors["grouped"]["elsewhere_mse"], np.mean(elsewhere), 1e-12)

@@ -28,6 +28,7 @@ from jax_aero.train import (
 )
 from jax_aero.train.adam import adam_start, adam_step
 from jax_aero.train.loop import MATMUL, validation_error
+from jax_aero.train.loss import mean_square
 from tests.measurements import measured
 
 SETTINGS = Settings(epochs=8, learning_rate=3e-3, batch=32, dropout=0.1, noise={"wind": 0.02}, validate_every=2)
@@ -75,7 +76,9 @@ def test_without_dropout_nothing_is_drawn(ironcub, agree):
     x = jnp.ones((2, 22))
     plain = batch_output(network.layers, "relu", x)
     np.testing.assert_array_equal(batch_output(network.layers, "relu", x, jax.random.key(1), 0.0), plain)
-    agree("mean squared error", float(mean_squared_error(plain, plain[0] + 0.5)), 0.25, 1e-6)
+    agree("mean squared error", float(mean_squared_error(plain, plain[0] + 0.5)), 39 * 0.25, 1e-6)
+    errors = np.ones((4, 13, 3)) * np.arange(4.0)[:, None, None]
+    agree("errors of rows", mean_square(errors), 39 * (0 + 1 + 4 + 9) / 4, 1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +103,7 @@ def test_training_learns_and_is_deterministic(task):
     first = fit(network, training, validation, settings, seed=1)
     second = fit(network, training, validation, settings, seed=1)
     other = fit(network, training, validation, settings, seed=2)
-    spread = float(np.var(training.y))
+    spread = training.y.shape[1] * float(np.var(training.y))
     assert first.curves[0][1] > first.curves[-1][1]
     assert first.curves[-1][1] < 0.1 * spread
     assert first.curves[-1][2] < 0.3 * spread
@@ -180,7 +183,7 @@ def test_validation_is_that_of_the_network_as_it_flies(task, ironcub, made_up_da
     network, training, _ = task
     trained = fit(network, training, None, structs.replace(SETTINGS, dropout=0.5), seed=0).network
     rows = made_up_dataset.take(slice(0, 40))
-    expected = np.mean((predict_areas(trained, ironcub, rows) - rows.force_area_b) ** 2)
+    expected = np.mean(np.sum((predict_areas(trained, ironcub, rows) - rows.force_area_b) ** 2, axis=(1, 2)))
     agree("validation error", validation_error(trained, samples_of(trained, ironcub, rows)), expected, 1e-4)
 
 
@@ -253,7 +256,7 @@ def test_the_baselines_are_what_they_say(ironcub, made_up_dataset):
         *("nearest", "linear"),
     }
     # The made-up areas are linear in the wind, up to a factor by posture.
-    assert found["linear"] < 0.2 * np.var(made_up_dataset.force_area_b)
+    assert found["linear"] < 0.2 * 39 * np.var(made_up_dataset.force_area_b)
     # Rows that were trained on are their own neighbours.
     known = made_up_dataset.take(train)
     measured("nearest neighbour of known samples", baseline_errors(ironcub, known, known)["nearest"], 1e-12)
