@@ -43,5 +43,5 @@ def draw(sweep: Sweep) -> Figure:
     row[0].set_ylabel(SHARE.replace(", ", ",\n"))
     row[0].set_ylim(-2.0, 102.0)
     legend(figure, row[0], sweep.title, len(kinds))
-    style.footnote(figure, f"{counts['flights'].max()} flights a point, {sweep.footnote().rpartition(', ')[2]}")
+    style.footnote(figure, f"{counts['flights'].max()} flights a point, {sweep.footnote().partition(', ')[2]}")
     return figure

@@ -25,7 +25,7 @@ class KeptSweep(Sweep):
 
     kept: Kept
 
-    spread = "median to 90 % of flights"
+    spread = "median to 90 % of flights that complete or land"
 
     @cached_property
     def cells(self) -> pd.DataFrame:

@@ -16,6 +16,7 @@ from jax_aero.base.parquet import read_table
 from jax_aero.base.quantities import Shown
 from jax_aero.base.terminal import Refused
 from jax_aero.figures.runs import MissingRun, NotDrawn
+from jax_aero.sweep.perturbation import perturbed
 
 
 @dataclass(frozen=True)
@@ -73,16 +74,13 @@ class Sweep:
                 "Change the sweep's file and repeat the sweep: it flies nothing again"
             )
 
-    spread = "median, 10 to 90 % of flights"
+    spread = "median, 10 to 90 % of all flights"
     """What the centres and intervals of errors are."""
 
     def footnote(self) -> str:
         """Return the number of flights per point, and how they differ."""
         n = self.document["repeats"]
-        perturbed = any(self.document["perturbation"].values())
-        each = "one flight each" if n == 1 else f"{n} flights each"
-        kind = "start, wind and aerodynamics perturbed" if perturbed else "unperturbed"
-        return f"{each}, {kind}" if n > 1 or perturbed else each
+        return f"{'one flight' if n == 1 else f'{n} flights'} each, {perturbed(self.document['perturbation'])}"
 
 
 def is_finished(folder: Path) -> bool:

@@ -26,6 +26,7 @@ from jax_aero.results.kept import ALL, Axis, Kept
 from jax_aero.results.outdated import ANOTHER
 from jax_aero.sweep import run, spec, table
 from jax_aero.sweep.design import Design
+from jax_aero.sweep.perturbation import perturbed
 from jax_aero.sweep.spec import Spec
 from jax_aero.base import documents, places
 from jax_aero.base.files import find_damaged, read_json, write_text
@@ -168,10 +169,9 @@ def _onset(config: Mapping[str, Any]) -> float:
 
 
 def _each(document: Mapping[str, Any]) -> str:
-    """Return how many flights a cell has, and whether they are perturbed."""
+    """Return how many flights a cell has, and what of them is perturbed."""
     repeats = document["repeats"]
-    perturbed = "perturbed" if any(document["perturbation"].values()) else "unperturbed"
-    return f"{'one' if repeats == 1 else repeats} in each cell, {perturbed}"
+    return f"{'one' if repeats == 1 else repeats} in each cell, {perturbed(document['perturbation'])}"
 
 
 def _rows(

@@ -83,7 +83,7 @@ def _of_cells() -> Iterator[tuple[str, Column]]:
         _, unit, meaning = FLIGHTS[column]
         for end, share in QUANTILES.items():
             text = {"median": "median", "worst": "greatest"}.get(end, f"{100.0 * share:g} % quantile")
-            yield f"{name}_{end}", Column(NUMBER, unit, f"{text} of: {meaning}")
+            yield f"{name}_{end}", Column(NUMBER, unit, f"{text} over all flights that have it of: {meaning}")
 
 
 CELLS: Columns = dict(_of_cells())

@@ -12,8 +12,8 @@ from jax_aero.sweep.intervals import SHARE, share
 from jax_aero.sweep.paired import COLUMNS
 
 ERRORS = {
-    "max rotation error [deg], median, 10 to 90 %": ("rotation_error_deg", 1.0),
-    "max CoM error [cm], median, 10 to 90 %": ("com_error", 100.0),
+    "max rotation error [deg], median of all, 10 to 90 %": ("rotation_error_deg", 1.0),
+    "max CoM error [cm], median of all, 10 to 90 %": ("com_error", 100.0),
 }
 """Quantities of the table of cells, and factors, by heading."""
 

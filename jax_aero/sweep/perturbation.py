@@ -52,6 +52,19 @@ STREAMS = (
 )
 """Kinds of draws; the index is the number of the random stream, so new kinds are appended at the end."""
 
+PARTS = {
+    "start": ("joint_position", "base_rpy_deg", "base_velocity", "thrust"),
+    "wind": ("wind_speed", "wind_direction_deg"),
+    "aerodynamics": ("drag", "normal", "link", "ensemble"),
+    "directions of pushes": ("any_direction",),
+    "model of the robot": ("mass", "com", "inertia", "thrust_axis_deg"),
+    "thrusts": ("thrust_gain",),
+    "sensors": ("imu_deg", "encoders_deg"),
+    "delays": ("latency",),
+    "friction": ("friction",),
+}
+"""What is perturbed, by the keys of a perturbation."""
+
 
 class Perturbation(tables.Table, frozen=True):
     """Half widths of uniform distributions, and an ensemble to draw from; by default nothing is perturbed."""
@@ -192,6 +205,16 @@ class Perturbation(tables.Table, frozen=True):
             given: Mapping[str, float] = factors.get("links", {})
             drawn = around("link", [1.0] * len(links))
             factors["links"] = {link: given.get(link, 1.0) * x for link, x in zip(links, drawn, strict=True)}
+
+
+def perturbed(given: Mapping[str, Any]) -> str:
+    """Return what a perturbation differs in: "start and wind perturbed"; "unperturbed" if in nothing.
+
+    >>> perturbed({"wind_speed": 1e-6, "mass": 0.0, "drag": 0.1})
+    'wind and aerodynamics perturbed'
+    """
+    *parts, last = [part for part, keys in PARTS.items() if any(given.get(key) for key in keys)] or [""]
+    return f"{' and '.join(filter(None, (', '.join(parts), last)))} perturbed" if last else "unperturbed"
 
 
 @cache

@@ -28,7 +28,7 @@ from jax_aero.results import identity, outdated
 from jax_aero.sweep import cluster, columns, keys, run, spec, table
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
-from jax_aero.sweep.perturbation import Perturbation, members
+from jax_aero.sweep.perturbation import PARTS, Perturbation, members, perturbed
 
 ENSEMBLE = places.CONFIGS / "aero" / "networks" / "ensemble" / "ensemble.json"
 
@@ -385,6 +385,18 @@ def test_a_repeat_is_perturbed_alike_in_every_cell_and_unlike_the_others(agree):
     nominal = np.array(made.cell_config(0)["simulator"]["initial"]["joint_position"])
     offsets = np.array(first["simulator"]["initial"]["joint_position"]) - nominal
     assert 0.02 < np.abs(offsets).max() <= 0.1
+
+
+def test_what_is_perturbed_is_said_from_its_keys():
+    assert sorted(key for keys in PARTS.values() for key in keys) == sorted(Perturbation.__struct_fields__)
+    assert perturbed({"joint_position": 1e-5, "drag": 0.0}) == "start perturbed"
+    assert perturbed({"ensemble": "e.json", "mass": 0.1, "any_direction": False}) == (
+        "aerodynamics and model of the robot perturbed"
+    )
+    every = perturbed(dict.fromkeys(Perturbation.__struct_fields__, True))
+    assert every.startswith("start, wind, aerodynamics, ")
+    assert every.endswith("delays and friction perturbed")
+    assert perturbed(dict.fromkeys(Perturbation.__struct_fields__, 0.0)) == perturbed({}) == "unperturbed"
 
 
 def test_a_perturbation_adds_to_the_errors_of_a_level():
