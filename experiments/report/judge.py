@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -24,7 +24,7 @@ from jax_aero import rust
 from jax_aero.base import places, tables
 from jax_aero.base.files import read_json
 from jax_aero.base.named import file_hash
-from jax_aero.base.terminal import Refused
+from jax_aero.base.terminal import ConfigError, Refused
 from jax_aero.results import manifest
 from jax_aero.results.identity import VERSIONS
 from jax_aero.results.outdated import ANOTHER
@@ -70,6 +70,9 @@ class Verdict(msgspec.Struct, frozen=True):
         return Verdict(Kind.IN_PART if self.kind is Kind.AGREES and limit else self.kind, f"{self}{limit}")
 
 
+UNDECIDED = (Kind.OUT_OF_REACH, Kind.NOT_COMPARED)
+"""Kinds of the verdicts that a claim may state of itself."""
+
 AGREES, NOT_FLOWN, OUTDATED = map(Verdict.of, (Kind.AGREES, Kind.NOT_FLOWN, Kind.OUTDATED))
 
 
@@ -89,6 +92,14 @@ class Bound(tables.Table, frozen=True):
     part: str = ""
     """Part of the claim that it decides, if not the case."""
 
+    def __post_init__(self) -> None:
+        if not self._ends and self.equal is None:
+            raise ConfigError.of("of", self.of, "a limit beside it: least, most, above, below or equal")
+
+    @property
+    def _ends(self) -> list[float]:
+        return [end for end in (self.least, self.above, self.most, self.below) if end is not None]
+
     def holds(self, value: Any) -> bool:
         """Return whether a value is within the bounds; NaN is not."""
         return (
@@ -101,9 +112,8 @@ class Bound(tables.Table, frozen=True):
 
     def differs(self, case: str, values: Mapping[str, Any]) -> str:
         """Return how the value of a case differs."""
-        value, (low, high) = values[self.of], ((self.least, self.above), (self.most, self.below))
-        ends = [end for end in (*low, *high) if end is not None]
-        miss = value - min(ends, key=lambda end: abs(value - end)) if ends else 0.0
+        value = values[self.of]
+        miss = value - min(self._ends, key=lambda end: abs(value - end)) if self._ends else 0.0
         return self.how.format_map({"case": case, "miss": miss, "unit": self.unit, **values}).rstrip()
 
 
@@ -133,6 +143,17 @@ class Claim(tables.Table, frozen=True):
     """Commands that make the results, without `jax-aero`; none if committed files suffice."""
     figure: str = ""
     """Figure or sweep that shows it, if not that of its item."""
+
+    def __post_init__(self) -> None:
+        module, _, name = self.measure.partition(".")
+        if self.measure and not hasattr(MEASURES.get(module), name):
+            known = ", ".join(MEASURES)
+            raise ConfigError.of("measure", self.measure, f"a function of a module of measures ({known}), or none")
+        words = [kind.value for kind in UNDECIDED]
+        if self.verdict and self.verdict.partition(":")[0] not in words:
+            raise ConfigError.of("verdict", self.verdict, f"none, or {' or '.join(words)}, and why")
+        if bool(self.verdict) is bool(self.asks) or (self.asks and not self.measure):
+            raise ConfigError.of("asks", len(self.asks), "bounds of what is measured, or a verdict without any")
 
     @property
     def identity(self) -> str:
@@ -180,11 +201,18 @@ class Claim(tables.Table, frozen=True):
         return self.before.format_map(next(iter(found.cases.values()))) + self.join.join(said)
 
     def judge(self, cases: Cases) -> Verdict:
-        """Return the verdict on values by case."""
+        """Return the verdict on values by case; `LookupError` if a bound is of a value that no case has."""
         if self.verdict:
             return Verdict(Kind(self.verdict.partition(":")[0]), self.verdict)
-        asked = [(bound, case, values) for case, values in cases.items() for bound in self.asks if bound.of in values]
-        failed = [(bound.part or case, bound.differs(case, values)) for bound, case, values in _failing(asked)]
+        known = {name for values in cases.values() for name in values}
+        if unknown := [bound.of for bound in (*self.asks, *self.remarks) if bound.of not in known]:
+            raise LookupError(f"no case has `{unknown[0]}`")
+        asked = list(_applied(self.asks, cases))
+        failed = [
+            (bound.part or case, bound.differs(case, values))
+            for bound, case, values in asked
+            if not bound.holds(values[bound.of])
+        ]
         fails, how = (", ".join(dict.fromkeys(texts)) for texts in (zip(*failed, strict=True) if failed else ((), ())))
         parts = dict.fromkeys(bound.part or case for bound, case, _ in asked)
         holds = [part for part in parts if part not in dict(failed)]
@@ -195,7 +223,9 @@ class Claim(tables.Table, frozen=True):
         elif failed:
             verdict = Verdict.of(Kind.DIFFERS, how)
         for bound in self.remarks:
-            limits = [(case, values) for _, case, values in _failing((bound, *one) for one in cases.items())]
+            limits = [
+                (case, values) for _, case, values in _applied([bound], cases) if not bound.holds(values[bound.of])
+            ]
             if limits:
                 fails = ", ".join(case for case, _ in limits)
                 verdict = verdict.but(bound.how.format_map({**limits[0][1], "fails": fails}))
@@ -220,13 +250,13 @@ def of_sweep(name: str, claim: Criterion) -> Claim:
     limits = [
         Bound(of=column, most=limit, how=f"{{case}}: {{{column}_text}}") for column, limit in claim.at_most.items()
     ]
-    ended = Bound(of="others", most=0, how="{case}: {missed}")
+    of, how = ("above", "{above} too many") if claim.share else ("others", "{case}: {missed}")
     return Claim(
         where="ours",
         states=claim.states,
         measure=OF_SWEEP,
         arguments={"name": name, "claim": claim},
-        asks=(Bound(of="above", most=0, how="{above} too many"),) if claim.share else (ended, *limits),
+        asks=(Bound(of=of, most=0, how=how), *limits),
         remarks=(Bound(of="is_decided", equal=True, how="; not decided: {limit:g} % is within the interval"),)
         if claim.share
         else (),
@@ -248,8 +278,9 @@ def whole(commands: Sequence[str]) -> list[str]:
     return [command if command.startswith("jax-aero ") else f"jax-aero {command}" for command in commands]
 
 
-def _failing(asked: Any) -> Iterator[tuple[Bound, str, Mapping[str, Any]]]:
-    return ((bound, case, values) for bound, case, values in asked if not bound.holds(values[bound.of]))
+def _applied(bounds: Iterable[Bound], cases: Cases) -> Iterator[tuple[Bound, str, Mapping[str, Any]]]:
+    """Yield bounds with the cases that have their values."""
+    return ((bound, case, values) for case, values in cases.items() for bound in bounds if bound.of in values)
 
 
 # --- what was found -------------------------------------------------------------------------------------------------

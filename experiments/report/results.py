@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from jax_aero import rust
 from jax_aero.base import documents, flights, keys, places, run_file
@@ -22,6 +24,7 @@ from jax_aero.results import outdated
 from jax_aero.results.outdated import ANOTHER
 from jax_aero.rust import SETTLING_TIME
 
+Array: TypeAlias = NDArray[Any]
 Cell: TypeAlias = Mapping[str, Any]
 
 FAILED = "failed.json"
@@ -32,6 +35,10 @@ MOVING = 0.02
 """Least speed of a set-point that moves [m/s]."""
 LATE, STRONG = 35.0, 1.0
 """Time from which on the paper sees its models differ most [s], and least force whose sign is compared [N]."""
+FULL = 0.99
+"""Share of the greatest wind from which on it counts as full."""
+SAMPLED = 50
+"""Ticks between two samples of moments."""
 FINAL = 3.0
 """Duration of the end of a flight, at rest in the paper's mission [s]."""
 
@@ -101,19 +108,56 @@ class Flight:
         return difference("arm"), difference("chest")
 
     @property
+    def moments(self) -> dict[str, float]:
+        """Return the mean moment of the air about the centre of mass, and its sum with that of the thrusts [N m].
+
+        In the full wind at rest; `exchanged` is the sum with left and right thrusts exchanged.
+        """
+        controller, moments = rust.Controller(rust.load_config(self.folder.name)), []
+        for tick in np.flatnonzero(self.is_windy & ~self.is_moving)[::SAMPLED]:
+            at = self.run.isel(time=tick)
+            position, rotation, joints, thrust, wind = (
+                at[name].values for name in ("base_position", "raw_base_rotation", "joint_position", "thrust", "wind")
+            )
+            velocity = np.concatenate([at["base_velocity"], at["joint_velocity"]])
+            now = controller.tick(rust.State(position, rotation, joints, velocity), thrust, wind, float(at["time"]))
+            acting = [(now.link_arm_points, at["aero_force_sim"].values)]
+            acting += [(now.jet_points, now.jet_axes * rows[:, None]) for rows in (thrust, thrust[self.mirrored])]
+            moments.append([np.cross(points - now.com_position, forces).sum(axis=0) for points, forces in acting])
+        air, thrusts, exchanged = np.mean(moments, axis=0)
+        sums = {"air": air, "left": air + thrusts, "exchanged": air + exchanged}
+        return {name: float(np.linalg.norm(moment)) for name, moment in sums.items()}
+
+    @property
+    def mirrored(self) -> list[int]:
+        """Return the number of the jet on the other side, of each jet."""
+        names = [f"_{jet}" for jet in self.run["jet"].values]
+        return [names.index(re.sub("_[lr]_", lambda side: {"_l_": "_r_"}.get(side[0], "_l_"), name)) for name in names]
+
+    @property
+    def is_windy(self) -> Array:
+        """Return at which times the wind has risen to its full speed, after settling."""
+        speed = np.linalg.norm(self.run["wind"].values, axis=1)
+        return np.asarray((speed >= FULL * speed.max()) & (self.run["time"].values >= SETTLING_TIME))
+
+    @property
+    def is_moving(self) -> Array:
+        """Return at which times the set-point moves."""
+        return np.asarray(np.linalg.norm(self.run["com_setpoint"].differentiate("time").values, axis=1) > MOVING)
+
+    @property
     def forces_apart(self) -> dict[str, float]:
         """Return how far simulated and assumed aerodynamic force differ in the mean [N], and the share of equal signs.
 
-        While the set-point moves and rests, before `LATE` and later; of components of at least `STRONG`.
+        In the full wind: while the set-point moves and rests, before `LATE` and later; of components of at least
+        `STRONG`. The still air before would count as rest.
         """
-        run = self.run.sel(time=slice(SETTLING_TIME, None))
-        simulated, assumed = (flights.aero_force(run, of_controller=side).values for side in (False, True))
-        difference, is_late = np.linalg.norm(simulated - assumed, axis=1), run["time"].values >= LATE
-        is_moving = np.linalg.norm(run["com_setpoint"].differentiate("time").values, axis=1) > MOVING
-        parts = {"moving": is_moving, "resting": ~is_moving, "early": ~is_late, "late": is_late}
-        is_strong = abs(simulated) > STRONG
+        simulated, assumed = (flights.aero_force(self.run, of_controller=side).values for side in (False, True))
+        difference, is_late = np.linalg.norm(simulated - assumed, axis=1), self.run["time"].values >= LATE
+        parts = {"moving": self.is_moving, "resting": ~self.is_moving, "early": ~is_late, "late": is_late}
+        is_strong = (abs(simulated) > STRONG) & self.is_windy[:, None]
         signs = 100.0 * float((np.sign(simulated) == np.sign(assumed))[is_strong].mean())
-        return {name: float(difference[rows].mean()) for name, rows in parts.items()} | {"signs": signs}
+        return {name: float(difference[rows & self.is_windy].mean()) for name, rows in parts.items()} | {"signs": signs}
 
     @property
     def force_angle(self) -> tuple[float, float]:
@@ -129,11 +173,9 @@ class Flight:
 
     @property
     def stood(self) -> tuple[float, float]:
-        """Return when the wind of a ground experiment begins to rise [s], and the mass of its controller [kg]."""
-        config = self.document["config"]
-        scale = keys.get(config, "disturbances.model_error.mass_scale") or 1.0
-        start = float(keys.get(config, "disturbances.controller_wind")["ramp_start"])
-        return start, scale * rust.Robot(str(places.ROBOT)).mass
+        """Return when the wind of a ground experiment begins to rise [s], and the mass of its robot [kg]."""
+        start = float(keys.get(self.document["config"], "disturbances.controller_wind")["ramp_start"])
+        return start, rust.Robot(str(places.ROBOT)).mass
 
 
 @dataclass(frozen=True)

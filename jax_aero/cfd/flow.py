@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pyvista
 import xarray as xr
 
@@ -56,6 +57,7 @@ def compute(_name: str, config: FlowConfig) -> Findings:
             raise Refused(result.reason)
         cells, wall = read_case(folder, settings.solver.ranks, settings.air)
     plane = cells.slice("y", generate_triangles=True)
+    surface = wall.compute_cell_sizes()
     data = to_dataset(wall.triangulate(), plane, streamlines(cells, wall))
     area, ratio = plane.compute_cell_sizes()["Area"], plane.cell_data["viscosity"]
     wake = plane.cell_data["speed"] < 0.5
@@ -65,11 +67,17 @@ def compute(_name: str, config: FlowConfig) -> Findings:
         "pressure share of the force": result.quality["pressure share of the force"],
         "turbulent over molecular viscosity, largest in the plane": float(ratio.max()),
         "wake in the plane, slower than half the wind [m2]": wake_area,
-        "part of the wake in the plane where that is above 100": float(area[wake & (ratio > 100.0)].sum()) / wake_area,
+        "part of the wake in the plane where that is above 100": _part(area[wake], ratio[wake] > 100.0),
+        "part of the surface where that is above 100": _part(surface["Area"], surface.cell_data["viscosity"] > 100.0),
         "cells": facts.cells,
     }
     data = data.assign_attrs(wind=wind, cells=facts.cells, edge=settings.mesh.finest)
     return Findings(config.title, data, summary, files=[ROBOT, POSTURES])
+
+
+def _part(area: npt.NDArray[np.float64], chosen: npt.NDArray[np.bool_]) -> float:
+    """Return the share of an area that the chosen cells have."""
+    return float(area[chosen].sum() / area.sum())
 
 
 def read_case(folder: Path, ranks: int, air: Air) -> tuple[pyvista.UnstructuredGrid, pyvista.PolyData]:

@@ -9,7 +9,9 @@ from typing import Annotated, Any, Literal, TypeAlias
 import msgspec
 
 from jax_aero.base import tables
+from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import ConfigError
+from jax_aero.sweep import columns
 
 Counted: TypeAlias = Literal["completed", "upright", "on_course", "lost", "unwarned", "degraded", "flights"]
 """Columns of the table of cells that are numbers of flights. One way of being lost is none: a claim counts all."""
@@ -38,14 +40,19 @@ class Criterion(tables.Table, frozen=True):
     success: Literal["completed", "upright"] = "completed"
     """The flights that succeed."""
     share: tuple[Share, ...] = ()
-    """What is asked instead: shares of the flights of all cells."""
+    """What is asked instead of success: shares of the flights of all cells."""
 
     def covers(self, cell: Mapping[str, Any]) -> bool:
         """Return whether a cell is one of those that decide."""
         return all(any(_fits(cell[axis], level) for level in _listed(levels)) for axis, levels in self.cells.items())
 
     def check(self, levels: Mapping[str, Sequence[str | float]], key: str) -> None:
-        """Refuse axes and levels that a sweep has not; a sampled axis has no levels to choose from."""
+        """Refuse columns, axes and levels that a sweep has not; a sampled axis has no levels to choose from."""
+        for column in self.at_most:
+            if column not in columns.CELLS:
+                raise ConfigError.of(
+                    f"{key}.at_most", column, f"a column of cells{did_you_mean(column, columns.CELLS)}"
+                )
         for axis, chosen in self.cells.items():
             known = levels.get(axis, ())
             for level in _listed(chosen):

@@ -61,6 +61,12 @@ class Design:
         ]
 
     @property
+    def labels(self) -> Iterator[dict[str, str | float]]:
+        """Yield the label of every axis for each cell."""
+        for levels in self.cells:
+            yield {axis.name: level.label for axis, level in zip(self.spec.axes, levels, strict=True)}
+
+    @property
     def n_rows(self) -> int:
         """Return the number of flights."""
         return len(self.cells) * self.spec.repeats
@@ -139,6 +145,12 @@ class Design:
             raise ConfigError.of("axis", self.spec.axis[0].name, "levels that can be combined").in_file(
                 f"sweep {self.spec.name}"
             )
+        for number, claim in enumerate(self.spec.claim):
+            if not any(map(claim.covers, self.labels)):
+                cells = dict(claim.cells)
+                raise ConfigError.of(f"claim[{number}].cells", cells, "levels of one cell or more").in_file(
+                    f"sweep {self.spec.name}"
+                )
         firsts: dict[tuple[str | float, ...], int] = {}
         for cell, levels in enumerate(self.cells):
             config = self.cell_config(cell)

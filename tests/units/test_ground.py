@@ -378,8 +378,12 @@ def test_a_run_is_recorded_and_measured(frontal, tmp_path):
     assert dataset["foot"].values.tolist() == ["l_sole", "r_sole"]
     path = tmp_path / "run.nc"
     write_netcdf(path, dataset)
-    found = measure(xr.load_dataset(path, engine="h5netcdf"), 1.0, robot.mass, 0)
-    assert found["identity"] < 1e-9
+    run = xr.load_dataset(path, engine="h5netcdf")
+    found = measure(run, 1.0, robot.mass, 0)
+    assert found["unbalanced"] < 0.25
+    wrong = run.assign(foot_wrench=1.01 * run["foot_wrench"])
+    assert measure(wrong, 1.0, robot.mass, 0)["unbalanced"] > 1.0
+    assert measure(run.assign(com_velocity=-run["com_velocity"]), 1.0, robot.mass, 0)["unbalanced"] > 0.25
     assert found["shift_mm"] > 10.0
     assert found["first"] == "ankle pitch"
     assert 0.0 < found["onset"] < 8.0

@@ -32,6 +32,10 @@ ERGAL_STRENGTH = 572.0
 """Ultimate tensile strength of aluminium 7075-T6 ("Ergal") [MPa]. Source: MIL-HDBK-5, bar; lower for other tempers."""
 STRESSES = {"jetpack": 57.0, "forearm": 77.0}
 """Stresses that the paper computes by finite elements [MPa]."""
+CAMPAIGN, TUNNEL_POSTURES = "exp_2022_11_03", ("free_stream", "tunnel", "tunnel_hovering")
+"""The campaign of the paper's figures, and the tables that have its postures."""
+FLOWN = "compact"
+"""Training of the network that flies."""
 RELIABLE_SPEED = 15.0
 """Below it the paper suspects the balance's calibration [m/s]."""
 HIGH_SIDESLIP = 70.0
@@ -82,17 +86,14 @@ def forearm_offset() -> float:
 
 def jets() -> Measured:
     """Measure the robot's mass, thrusts and engines."""
-    known, engines = robot()["jets"], robot()["engines"]
-    chest = [jet["thrust_max"] for jet in known if "chest" in jet["name"]]
+    known, engines, mass = robot()["jets"], robot()["engines"], rust.Robot(str(ROBOT)).mass
     large = next(jet for jet in known if jet["engine"] == "P220")
     steady = {name: steady_thrust(engines[name], 100.0) for name in ("P100", "P160", "P220")}
     burnt = table("tables/fuel.toml")[large["name"]]["consumption"][1]
     return one(
-        mass=rust.Robot(str(ROBOT)).mass,
-        chest_jets=len(chest),
-        chest=sum(chest),
-        chest_kg=sum(chest) / GRAVITY,
-        chest_jet_kg=max(chest) / GRAVITY,
+        mass=mass,
+        weight=mass * GRAVITY,
+        needed=math.ceil(mass * GRAVITY / steady["P220"]),
         limit=large["thrust_max"],
         limit_kg=large["thrust_max"] / GRAVITY,
         **steady,
@@ -129,48 +130,66 @@ def energy() -> Measured:
 
 
 def campaign() -> Measured:
-    """Measure which part of the tunnel's campaign the tables contain, and the numbers of its flow."""
-    found = table("tables/wind_tunnel.toml")
-    tests = [*found["hovering"], *found["flight"]]
-    beta = [angle for test in found["hovering"] for angle in test["beta_deg"]]
-    alpha = [angle for test in found["flight"] for angle in test["alpha_deg"]]
+    """Measure the numbers of the tunnel's flow around the robot."""
     section, sizes = TUNNEL_SECTION[0] * TUNNEL_SECTION[1], [link["diameter"] for link in robot()["aero_links"]]
     low, high = (AIR_DENSITY * TUNNEL_SPEED * size / AIR_VISCOSITY for size in (min(sizes), max(sizes)))
-    fastest = max(test["speed"] for test in found["hovering"])
     taps = table("tables/pressure_taps.toml")["mk1"]
     return one(
-        points=sum(len(test["cda"]) for test in tests),
-        tests=len(tests),
-        angles=[min(beta), max(beta), min(alpha), max(alpha)],
         area=silhouette(),
         section=section,
         blocked=100.0 * silhouette() / section,
         reynolds_low=low,
         reynolds_high=high,
         speed=TUNNEL_SPEED,
-        fastest=fastest,
-        mach=fastest / SPEED_OF_SOUND,
-        density=50.0 * (fastest / SPEED_OF_SOUND) ** 2,
         taps=len(taps),
         placed=sum("position" in tap for tap in taps.values()),
         taps_missing=124 - len(taps),
     )
 
 
-def simulations() -> Measured:
-    """Measure what is printed of the CFD: turbulence at the boundary, number of simulations, cells."""
-    k, epsilon, omega = 2.89e-6, 0.0236e-6, 8.17
+def tests_of_campaign() -> Measured:
+    """Count tests and postures in the public list of the tunnel's campaign, and points in the tables of the figures."""
+    (found,) = (one for one in table("tables/tunnel_tests.toml")["campaign"] if one["name"] == CAMPAIGN)
+    tests = {**found["hovering"], **found["flight"]}
+    symmetric = list(filter(_is_symmetric, tests))
+    shown = table(f"tables/{TUNNEL}")
+    return one(
+        tests=sum(map(len, tests.values())),
+        symmetric=len(symmetric),
+        named=", ".join(symmetric),
+        others=len(tests) - len(symmetric),
+        points=sum(len(test["cda"]) for test in (*shown["hovering"], *shown["flight"])),
+    )
+
+
+def _is_symmetric(posture: str) -> bool:
     known = table("tables/postures.toml")
+    turned = next(known[group][posture] for group in TUNNEL_POSTURES if posture in known[group])
+    angles: dict[str, float] = dict(zip(known["joints"], turned, strict=True))
+    sides = ((angle, angles[f"r{name[1:]}"]) for name, angle in angles.items() if name.startswith("l_"))
+    return all(left == right for left, right in sides) and angles["torso_roll"] == angles["torso_yaw"] == 0.0
+
+
+def ranges() -> Measured:
+    """Measure the angles [deg] of the tests in the tables of the figures: sideslip by speed, attack by posture."""
+    found = table(f"tables/{TUNNEL}")
+    drag = tunnel.hovering_drag(found)
+    cases = {f"hovering, {speed:g} m/s": {"beta": [min(curve), max(curve)]} for speed, curve in drag.items()}
+    cases |= {test["posture"]: {"alpha": [min(test["alpha_deg"]), max(test["alpha_deg"])]} for test in found["flight"]}
+    return Measured({case: {"angles": next(iter(found.values())), **found} for case, found in cases.items()})
+
+
+def simulations() -> Measured:
+    """Measure cells and number of simulations: the rows of a posture in the table that our fits use."""
+    training = json.loads(NETWORK.read_text(encoding="utf-8"))["training"]
+    rows, postures = training["rows"] // 2, len(training["errors"]["grouped"]["by_posture"])  # half are mirror images
     sizes = sorted({run["elements"] for run in table("tables/cfd_tunnel.toml")["run"]})
     return one(
-        rate=epsilon / k,
-        factor=omega * k / epsilon,
-        intensity=100.0 * math.sqrt(2.0 * k / 3.0) / TUNNEL_SPEED,
-        speed=TUNNEL_SPEED,
-        count=24 * 19 * 18,
-        thirty=30 * 19 * 18,
-        fitted=len(known["free_stream"]),
-        others=len(known["listed"]) + len(known["rest"]),
+        rows=rows,
+        postures=postures,
+        attitudes=rows / postures,
+        of_24=24 * rows / postures,
+        of_30=30 * rows / postures,
         reduction=100.0 * (1.0 - 0.33e6 / max(sizes)),
         finest=max(sizes),
         sizes=", ".join(f"{size:.2g}" for size in sizes),
@@ -178,12 +197,24 @@ def simulations() -> Measured:
 
 
 def network() -> Measured:
-    """Measure size and errors of the network [m⁴], beside the axisymmetric model, and of its coefficients."""
-    training = json.loads(NETWORK.read_text(encoding="utf-8"))["training"]
-    errors, baselines = training["errors"], training["baselines"]
+    """Measure size, training and errors of the network that flies, beside the axisymmetric model, and coefficients.
+
+    Errors are sums over the components of the squared error of a row, averaged over rows [m⁴], as the paper's.
+    """
+    card = json.loads(NETWORK.read_text(encoding="utf-8"))
+    training, hidden, sets = card["training"], card["architecture"]["hidden"], robot()["coefficients"]
+    outputs = 3 * len(card["inputs"]["links"])
+    # A card from before errors were summed has means over the components.
+    factor = outputs if training["error_unit"].startswith("m^4, mean over") else 1
+    errors, baselines = (
+        {
+            split: {name: factor * value for name, value in found.items() if isinstance(value, float)}
+            for split, found in of.items()
+        }
+        for of in (training["errors"], training["baselines"])
+    )
     random, grouped = (errors[split]["mse"] for split in ("random", "grouped"))
     published, signed = baselines["random"]["axisymmetric, published"], baselines["grouped"]["axisymmetric, signed"]
-    hidden, sets = table("training/paper.toml")["network"]["hidden"], robot()["coefficients"]
     printed, refit = (sets[name]["head"]["cda"][4] for name in ("published", "refit"))
     return one(
         random=random,
@@ -193,10 +224,14 @@ def network() -> Measured:
         grouped_times=grouped / 3e-6,
         axisymmetric=published,
         ratio=published / random,
+        root=math.sqrt(published / random),
         ratio_ours=signed / grouped,
-        hidden=list(hidden),
         layers=len(hidden),
-        width=hidden[0],
+        width=max(hidden),
+        outputs=outputs,
+        epochs=training["epochs"],
+        dropout=table(f"training/{FLOWN}.toml")["training"]["dropout"],
+        share=table(f"training/{FLOWN}.toml")["validation"]["fraction"],
         families=len(sets["published"]),
         printed=printed,
         refit=refit,
@@ -204,18 +239,35 @@ def network() -> Measured:
     )
 
 
-def tunnel_speeds(*, slow: bool) -> Measured:
-    """Measure how far drag areas at several speeds differ over the sideslips common to all [%]."""
+def tunnel_speeds() -> Measured:
+    """Measure how far drag areas at several speeds differ over the sideslips common to all [%].
+
+    At the reliable speeds below high sideslips, and at all speeds in the half that has no doubtful test: below and at
+    high sideslips.
+    """
     curves = tunnel.hovering_drag(tunnel.read(TUNNEL))
-    common = sorted(set.intersection(*(set(curve) for curve in curves.values())))
-    chosen = [curve for speed, curve in curves.items() if slow or speed > RELIABLE_SPEED]
-    return one(percent=float(_spread([[curve[beta] for beta in common] for curve in chosen]).max()))
+    common = sorted(set.intersection(*map(set, curves.values())))
+
+    def greatest(low: float, high: float, slowest: float = 0.0) -> float:
+        chosen = [curve for speed, curve in curves.items() if speed > slowest]
+        return float(_spread([[curve[beta] for beta in common if low <= beta < high] for curve in chosen]).max())
+
+    low, high = greatest(1.0, HIGH_SIDESLIP), greatest(HIGH_SIDESLIP, 91.0)
+    return one(fast=greatest(-90.0, HIGH_SIDESLIP, RELIABLE_SPEED), low=low, high=high, ratio=high / low)
 
 
-def tunnel_postures(alpha: int) -> Measured:
-    """Measure how far the drag areas of flight postures differ at an angle of attack [%]."""
+def tunnel_postures() -> Measured:
+    """Measure how far the drag areas of flight postures differ [%], at most and at least over the angles of attack."""
     found = tunnel.read(TUNNEL)["flight"]
-    return one(percent=float(_spread([posture["cda"] for posture in found])[found[0]["alpha_deg"].index(alpha)]))
+    apart, angles = _spread([posture["cda"] for posture in found]), found[0]["alpha_deg"]
+    return one(percent=float(apart.max()), at=angles[apart.argmax()], least=float(apart.min()))
+
+
+def efficiency() -> Measured:
+    """Measure the greatest lift over drag of the symmetric flight postures."""
+    found = [test for test in tunnel.read(TUNNEL)["flight"] if _is_symmetric(test["posture"])]
+    ratios = {test["posture"]: float(np.max(np.divide(test["cla"], test["cda"]))) for test in found}
+    return one(greatest=max(ratios.values()), each=", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()))
 
 
 def _spread(values: list[list[float]]) -> tunnel.Array:
@@ -249,28 +301,12 @@ def meshes_apart() -> Measured:
         record, run = _flight30(mesh, OMEGA)
         known = np.array([tunnel.measured_area(record, key, run) for key in ("cda", "cla", "csa")])
         apart = np.array([run[key] for key in ("cda", "cla", "csa")]) - known
-        sizes = {"force": np.linalg.norm(apart, axis=0) / np.linalg.norm(known, axis=0)}
+        magnitude = np.linalg.norm(known, axis=0)
+        sizes = {"force": np.abs(np.linalg.norm(known + apart, axis=0) / magnitude - 1.0)}
+        sizes |= {"vector": np.linalg.norm(apart, axis=0) / magnitude}
         sizes |= {"drag": np.abs(apart[0] / known[0]), "lift": np.abs(apart[1] / known[1])}
         found[mesh] = {name: 100.0 * float(values.max()) for name, values in sizes.items()}
     return Measured(found)
-
-
-def reynolds_effect() -> Measured:
-    """Measure how far drag areas at the reliable speeds differ at high positive sideslips, and at all others [%]."""
-    curves = [curve for speed, curve in tunnel.hovering_drag(tunnel.read(TUNNEL)).items() if speed > RELIABLE_SPEED]
-    common = sorted(set.intersection(*map(set, curves)))
-    apart = dict(zip(common, _spread([[curve[beta] for beta in common] for curve in curves]), strict=True))
-    high, elsewhere = (
-        max(float(apart[beta]) for beta in common if (beta >= HIGH_SIDESLIP) is is_high) for is_high in (True, False)
-    )
-    return one(high=high, elsewhere=elsewhere, ratio=high / elsewhere)
-
-
-def training() -> Measured:
-    """Return the numbers of the published training, as our file of it has them."""
-    found = table("training/paper.toml")
-    chosen, share = found["training"], found["validation"]["fraction"]
-    return one(epochs=chosen["epochs"], dropout=chosen["dropout"], share=share)
 
 
 def _flight30(mesh: str, turbulence: str) -> tuple[tunnel.Table, tunnel.Table]:

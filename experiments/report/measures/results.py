@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from experiments.report.measures import Measured, one
-from experiments.report.measures.standing import standing
+from experiments.report.measures.files import SPEED_OF_SOUND
+from experiments.report.measures.standing import recorded, standing
 from experiments.report.results import Cell, Results, count
+from jax_aero.base import flights
 from jax_aero.data.battery import PAPER_FUEL
 from jax_aero.results.flight import PAPER_RUNS
+from jax_aero.rust import SETTLING_TIME
 from jax_aero.sweep.columns import SHARES
 from jax_aero.sweep.criteria import Criterion, Share
 from jax_aero.sweep.intervals import wilson
@@ -41,8 +47,10 @@ ARMS = {"corrected": "", "published": "_published"}
 SUCCESSFUL, FAILED = ("test2", "test4", "robustness", "robustness_published"), ("test1_published", "test3_published")
 """Flights whose joint errors stay bounded in the paper, and those in which they grow until the robot falls."""
 
-STANDING = ("balancing_front_as_flown", "balancing_lateral_as_flown")
-"""The ground experiments of Fig. 6."""
+STANDING = {"balancing_front_as_flown": "standing_front_2", "balancing_lateral_as_flown": "standing_lateral"}
+"""The ground experiments of Fig. 6, with the records to which the friction of their drives was fitted."""
+PREDICTED = {"balancing_front_1_as_flown": "standing_front_1"}
+"""The recorded run to which nothing was fitted."""
 
 MOTION_BANDS = {"[mm]": 20.0, "[deg]": 1.0, "[N m]": 1.5, "[s]": 1.0}
 """Differences of the simulated experiment from the robot's, by unit; equal experiments moved the robot by 31 and 51 mm,
@@ -53,8 +61,8 @@ UNITS = {"rotation_error_deg": "°", "com_error": " m", "joint_error_sum_deg": "
 
 
 def perturbed(results: Results, *, test: str) -> Measured:
-    """Measure a test and its perturbed repetitions, by lever arms."""
-    cells = results.sweep("paper_tests")
+    """Measure a test, its perturbed repetitions, and those with finer steps and winds 1e-5 m/s apart, by lever arms."""
+    cells, finer = results.sweep("paper_tests"), results.sweep("convergence")
     name = test.upper() if test.startswith("test") else test
     found = {}
     for arms, end in ARMS.items():
@@ -62,15 +70,22 @@ def perturbed(results: Results, *, test: str) -> Measured:
         found[arms] = {
             "ending": flight.ending,
             "is_fallen": flight.document["outcome"] == "fell",
+            "is_completed": flight.document["outcome"] == "completed",
             "rotation_error": flight.rotation_error,
             "com_error_cm": 100.0 * flight.com_error,
             "count": count(cell),
+            "edge": _lost(finer.select(flight=f"{name}, published arms" if end else name)),
             "share": cell["completed"] / cell["flights"],
             "low": cell["completed_low"],
             "high": cell["completed_high"],
             "is_decided": not cell["completed_low"] < MOSTLY < cell["completed_high"],
         }
     return Measured(found)
+
+
+def _lost(known: list[dict[str, Any]]) -> str:
+    lost, flights = (sum(int(cell[key]) for cell in known) for key in ("lost", "flights"))
+    return f"{lost} of {flights}"
 
 
 def joint_errors(results: Results) -> Measured:
@@ -89,19 +104,65 @@ def force_angle(results: Results) -> Measured:
 
 
 def asymmetry(results: Results) -> Measured:
-    """Measure how much more left and right thrusts differ in the flights of Fig. 5 than without wind [N]."""
+    """Measure how much more left and right thrusts differ in the flights of Fig. 5 than without wind [N].
+
+    Also the moment of the air in the wind at rest, and what the thrusts leave of it (`Flight.moments`).
+    """
     still, found = results.flight("no_wind").asymmetry, {}
     for name in ("test4", "robustness"):
-        arms, chest = results.flight(name).asymmetry
+        flight = results.flight(name)
+        (arms, chest), moments = flight.asymmetry, flight.moments
         found[name] = {"arms": arms, "chest": chest, "still": max(still), "ratio": max(arms, chest) / max(still)}
+        found[name] |= moments | {"balance": moments["left"] / moments["air"]}
     return Measured(found)
 
 
 def thrusts(results: Results) -> Measured:
-    """Measure the range of thrusts with two models in the simulator [N]."""
-    axisymmetric, network = (results.flight(name).thrust for name in ("test2", "test4"))
-    apart = max(abs(one - other) for one, other in zip(axisymmetric, network, strict=True))
-    return one(low=axisymmetric[0], high=axisymmetric[1], low4=network[0], high4=network[1], apart=apart)
+    """Measure how far the thrusts of each jet differ with two models in the simulator, rms after settling [N].
+
+    `exchanged` is the same with left and right of one flight exchanged.
+    """
+    both = [results.flight(name) for name in ("test2", "test4")]
+    first, second = (flight.run["thrust"].sel(time=slice(SETTLING_TIME, None)).values for flight in both)
+    others = (second, second[:, both[1].mirrored])
+    apart, exchanged = (float(np.sqrt(((first - rows) ** 2).mean())) for rows in others)
+    (low, high), (low4, high4) = (flight.thrust for flight in both)
+    return one(low=low, high=high, low4=low4, high4=high4, apart=apart, exchanged=exchanged, ratio=apart / exchanged)
+
+
+def mach(results: Results) -> Measured:
+    """Measure the Mach number of the greatest speed of the centre of mass relative to the air."""
+    runs = [results.flight(name).run for name in ("test2", "test4")]
+    speed = max(float(np.linalg.norm(run["wind"] - run["com_velocity"], axis=1).max()) for run in runs)
+    return one(speed=speed, mach=speed / SPEED_OF_SOUND, density=50.0 * (speed / SPEED_OF_SOUND) ** 2)
+
+
+def force_changes(results: Results) -> Measured:
+    """Measure the rms rate of the aerodynamic force over that of the estimated linear momentum rate [%]."""
+    found = {}
+    for name in ("test2", "test4"):
+        run = results.flight(name).run.sel(time=slice(SETTLING_TIME, None))
+        signals = (flights.aero_force(run), run["momentum_rate_estimate"].isel(six=slice(3)))
+        of_air, whole = (float((signal.differentiate("time") ** 2).mean()) for signal in signals)
+        found[name] = {"percent": 100.0 * math.sqrt(of_air / whole) if whole else math.nan}
+    return Measured(found)
+
+
+def oscillations(results: Results) -> Measured:
+    """Measure the rms speed of the joints in the full wind of the robustness test, moving and at rest [deg/s]."""
+    found = {}
+    for arms, end in ARMS.items():
+        flight = results.flight(f"robustness{end}")
+        squares, parts = np.degrees(flight.run["joint_velocity"].values) ** 2, (flight.is_moving, ~flight.is_moving)
+        moving, resting = (float(np.sqrt(squares[rows & flight.is_windy].mean())) for rows in parts)
+        found[arms] = {"moving": moving, "resting": resting, "ratio": moving / resting if resting else math.nan}
+    return Measured(found)
+
+
+def nonlinear(results: Results) -> Measured:
+    """Measure the angle between force and relative wind with either model in the simulator [deg]."""
+    axisymmetric, network = (results.flight(name).force_angle[0] for name in ("test2", "test4"))
+    return one(axisymmetric=axisymmetric, network=network, ratio=network / axisymmetric)
 
 
 def forces_apart(results: Results) -> Measured:
@@ -115,7 +176,7 @@ def forces_apart(results: Results) -> Measured:
 
 
 def model_pairs(results: Results) -> Measured:
-    """Count the winds flown on course with the simulator's model, another, none, and none but an observer."""
+    """Count the winds flown to the end with the simulator's model, another, none, and none but an observer."""
     sweep = results.sweep("model_pairs")
     worlds, found = sweep.levels("world"), {}
     for arms in sweep.levels("arms"):
@@ -126,10 +187,13 @@ def model_pairs(results: Results) -> Measured:
             "no model": [cell for cell in cells if cell["model"] == "none"],
             "no model, observer": [cell for cell in cells if cell["model"] == "observer, no model"],
         }
-        counts = {name: (sum(c["on_course"] for c in own), len(own)) for name, own in kinds.items()}
-        part, whole = counts["another model"]
-        said = ", ".join(f"{name} {n} of {m}" for name, (n, m) in counts.items())
-        found[arms] = {"counts": said, "share": part / whole}
+        counts = {
+            name: (sum(c["completed"] for c in own), sum(c["on_course"] for c in own), sum(c["flights"] for c in own))
+            for name, own in kinds.items()
+        }
+        part, _, whole = counts["another model"]
+        said = ", ".join(f"{name} {n} ({on} on course) of {m}" for name, (n, on, m) in counts.items())
+        found[arms] = {"counts": said, "low": wilson(part, whole)[0]}
     return Measured(found)
 
 
@@ -178,9 +242,23 @@ def minimum(results: Results) -> Measured:
 
 
 def ground(results: Results) -> Measured:
-    """Measure the ground experiments, in frontal wind along x and in lateral wind along y."""
-    found = ((name, axis, results.flight(name)) for axis, name in enumerate(STANDING))
-    return Measured({name: standing(flight.run, *flight.stood, axis) for name, axis, flight in found})
+    """Measure the ground experiments, in frontal wind along x and in lateral wind along y, beside the records."""
+    return Measured(
+        {name: _beside(results, name, record, axis) for axis, (name, record) in enumerate(STANDING.items())}
+    )
+
+
+def predicted_motion(results: Results) -> Measured:
+    """Measure the experiment to whose record nothing was fitted."""
+    return Measured({name: _beside(results, name, record, 0) for name, record in PREDICTED.items()})
+
+
+def _beside(results: Results, name: str, record: str, axis: int) -> dict[str, Any]:
+    flight = results.flight(name)
+    ours, theirs = standing(flight.run, *flight.stood, axis), recorded(record, flight.stood[0], axis)
+    later = {"onset_later": ours["onset"] - theirs["onset"], "fallen_less": ours["fallen"] - theirs["fallen"]}
+    farther = {"farther_mm": ours["moved_mm"] - theirs["moved_mm"]}
+    return {**ours, **later, **farther, **{f"recorded_{figure}": value for figure, value in theirs.items()}}
 
 
 def leg(results: Results, *, of: str) -> Measured:
@@ -250,13 +328,23 @@ def recorded_motion(results: Results) -> Measured:
 def wake(results: Results) -> Measured:
     """Measure the flow around the robot on the mesh of the recipe."""
     found = results.study("cfd_flow", "flight30")
-    part = 100.0 * found["part of the wake in the plane where that is above 100"]
+    part, surface = (
+        100.0 * found[f"part of the {of} where that is above 100"] for of in ("wake in the plane", "surface")
+    )
     return one(
+        surface=surface,
+        bare=100.0 - surface,
         pressure=100.0 * found["pressure share of the force"],
         greatest=found["turbulent over molecular viscosity, largest in the plane"],
         part=part,
         rest=100.0 - part,
     )
+
+
+def boundary(results: Results) -> Measured:
+    """Measure the drag with our turbulence at the boundary, and with the printed one [m²]."""
+    ours, printed = (results.study("cfd_flow", f"flight30{end}")["drag [m2]"] for end in ("", "_boundary"))
+    return one(drag=ours, printed=printed, percent=100.0 * (printed / ours - 1.0))
 
 
 def wake_meshes(results: Results) -> Measured:
@@ -303,12 +391,13 @@ def of_cells(cells: list[Cell], axes: Iterable[str], claim: Criterion) -> Measur
     """Return shares of flights, or flights that do not succeed and bounded quantities by cell."""
     if not cells:
         raise LookupError(f"no cell of the claim `{claim.key}`")
-    if claim.share:
-        return Measured(found := dict(_share(cells, share) for share in claim.share), "; ".join(found))
+    shares = dict(_share(cells, share) for share in claim.share)
+    if shares and not claim.at_most:
+        return Measured(shares, "; ".join(shares))
     varying = [axis for axis in axes if len({cell[axis] for cell in cells}) > 1]
     ended, flights = (sum(int(cell[key]) for cell in cells) for key in (claim.success, "flights"))
-    said = [f"{_interval(ended, flights)} {SHARES[claim.success]}", *_ranges(cells, claim.at_most)]
-    return Measured(dict(_by_cell(cells, varying, claim)), "; ".join(said))
+    said = [*(shares or [f"{_interval(ended, flights)} {SHARES[claim.success]}"]), *_ranges(cells, claim.at_most)]
+    return Measured({**shares, **dict(_by_cell(cells, varying, claim))}, "; ".join(said))
 
 
 def _share(cells: list[Cell], share: Share) -> tuple[str, dict[str, Any]]:
@@ -325,9 +414,9 @@ def _by_cell(cells: list[Cell], varying: list[str], claim: Criterion) -> Iterato
         levels = [f"{cell[axis]:g}" if isinstance(cell[axis], float) else str(cell[axis]) for axis in varying]
         others = cell["flights"] - cell[claim.success]
         missed = f"{others} of {cell['flights']} not {SHARES[claim.success]}"
-        limited = {} if others else {column: cell[column] for column in claim.at_most}
+        limited = {column: math.nan if cell[column] is None else cell[column] for column in claim.at_most}
         texts = {f"{column}_text": _value(column, value) for column, value in limited.items()}
-        yield ", ".join(levels), {"others": others, "missed": missed, **limited, **texts}
+        yield ", ".join(levels) or claim.key, {"others": others, "missed": missed, **limited, **texts}
 
 
 def _interval(part: int, whole: int) -> str:
@@ -345,8 +434,9 @@ def _ranges(cells: list[Cell], columns: Iterable[str]) -> Iterator[str]:
         ends = dict.fromkeys(f"{end:.1f}" for end in (min(medians), max(medians)))
         yield f"rotation error in the median {' to '.join(ends)}°, at most {max(worst):.1f}°"
     for column in columns:
-        if not column.startswith("rotation_error_deg"):
-            yield f"{column.replace('_', ' ')} {_value(column, max(cell[column] for cell in cells))}"
+        values = [cell[column] for cell in cells if cell[column] is not None]
+        if values and not column.startswith("rotation_error_deg"):
+            yield f"{column.replace('_', ' ')} {_value(column, max(values))}"
 
 
 def _value(column: str, value: float) -> str:
