@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
-# Stamps of the set-up: the module with the packages for flying and drawing, those of `make test`, and all others.
+# Stamps of the set-up: the module with the packages of the commands, those of `make test`, and all others.
 MODULE := $(VENV)/.module
 TESTING := $(VENV)/.testing
 PACKAGES := $(VENV)/.packages
@@ -238,10 +238,10 @@ $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name one with PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# The packages of requirements.lock, by their hashes; those for flying and drawing come first. Modules are not compiled
+# The packages of requirements.lock, by their hashes; those of the commands come first. Modules are not compiled
 # here, which would need 60 MB, but when Python first imports them.
 $(VENV)/.first: requirements.hashed | $(BIN)/python
-	@echo "set-up 1 of 2: build tool, and what flying and drawing need (a minute)"
+	@echo "set-up 1 of 2: build tool, and what the commands need (1.4 GB, two minutes)"
 	sed '/^# ---/q' $< > $@.txt
 	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r $@.txt
 	@mv $@.txt $@
@@ -249,16 +249,16 @@ $(VENV)/.first: requirements.hashed | $(BIN)/python
 $(MODULE): $(VENV)/.first pyproject.toml $(RUST_SOURCES)
 	@echo "set-up 2 of 2: compile the Rust module (two minutes on two cores)"
 	PIP_QUIET=1 PIP_NO_INDEX=1 VIRTUAL_ENV="$(abspath $(VENV))" env -u CONDA_PREFIX \
-		$(BIN)/maturin develop --release --locked --quiet --extras figs
+		$(BIN)/maturin develop --release --locked --quiet --extras commands
 	@touch $@
 
 $(TESTING): requirements.hashed | $(MODULE)
-	@echo "set-up of the tests: JAX, MuJoCo, CasADi (1.2 GB, some minutes)"
+	@echo "set-up of the tests: independent solvers, pytest"
 	sed '/^# --- make test-all/q' $< > $@.txt
 	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r $@.txt
 	@mv $@.txt $@
 
 $(PACKAGES): requirements.hashed | $(TESTING)
-	@echo "set-up of everything else: viewer, clusters, flow, Warp, documents (2.3 GB, some minutes)"
+	@echo "set-up of everything else: clusters, flow, Warp, documents, Pinocchio (2 GB, some minutes)"
 	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.hashed
 	@touch $@

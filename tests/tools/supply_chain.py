@@ -26,7 +26,7 @@ LOCK, HASHED, THIRD_PARTY, SBOM = (
 TARGET = "x86_64-unknown-linux-gnu"
 """Platform whose crates are listed."""
 
-PARTS = {"# --- make test also needs": "figs", "# --- make test-all also needs": "test"}
+PARTS = {"# --- make test also needs": "commands", "# --- make test-all also needs": "test"}
 """Lines of requirements.hashed, and the extra of the packages before them: those of `make demo` and of `make test`."""
 
 PERMITTED = {

@@ -1,0 +1,368 @@
+"""Every file that is shipped with everything that can be done with it, found from folders and from the command line.
+
+A file of `configs`, a study or a command that is added enters by itself. A kind of file without an action fails.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from experiments import schema
+from experiments.sweep import spec
+from experiments.sweep.design import Design
+from jax_aero import cli, rust
+from jax_aero.base import places, tables
+
+SHORT = 0.2
+"""Duration of a flight without a fault [s]."""
+AFTER = 0.5
+"""How long a flight goes on after its last fault has begun [s]."""
+BEGINS = {"time", "start"}
+"""Keys of `disturbances` that say when a fault begins."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Exit status of a command, and what it printed."""
+
+    words: tuple[str, ...]
+    status: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A shipped file and what is done with it."""
+
+    kind: str
+    name: str
+    action: str
+
+    def __str__(self) -> str:
+        return f"{self.kind}/{self.name}: {self.action}"
+
+
+class Refused(Exception):
+    """A command was refused by a sentence."""
+
+
+def run(*words: object) -> Answer:
+    """Run a command of `jax-aero` in this process; a traceback is raised."""
+    texts = tuple(map(str, words))
+    out, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        try:
+            status = cli.main(texts)
+        except SystemExit as end:
+            status = int(end.code or 0)
+    return Answer(texts, status, out.getvalue() + errors.getvalue())
+
+
+def do(*words: object, table: bool = False) -> Answer:
+    """Run a command that works, or with `table` ends with status 1 and a table.
+
+    Raises
+    ------
+    Refused
+        If it was refused by a sentence.
+    AssertionError
+        If it ended in any other way, or printed a traceback.
+    """
+    answer = run(*words)
+    assert "Traceback" not in answer.text, answer
+    if answer.status == cli.REFUSED:
+        # Whole sentences that name what is wrong, in backquotes, as KEY is VALUE, or with an expectation.
+        assert re.search(r"`[^`]+`|expected| is | has ", answer.text), answer
+        raise Refused(answer.text.strip())
+    assert answer.status == 0 or (table and answer.status == 1 and answer.text.count("\n") > 1), answer
+    return answer
+
+
+def shortest(config: Mapping[str, Any]) -> float:
+    """Return how long a flight takes to show itself [s]: until its last fault has lasted for `AFTER`, or `SHORT`."""
+
+    def begins(value: Any, key: str = "") -> Iterator[float]:
+        if isinstance(value, Mapping):
+            for name, entry in value.items():
+                yield from begins(entry, name)
+        elif isinstance(value, list):
+            for entry in value:
+                yield from begins(entry, key)
+        elif key in BEGINS and isinstance(value, (int, float)):
+            yield float(value)
+
+    last = max(begins(config["disturbances"]), default=None)
+    wished = SHORT if last is None else last + AFTER
+    return min(wished, float(config["simulator"]["duration"]))
+
+
+def check_figures(folder: Path) -> None:
+    """No figure of merit of a flight is NaN, unless the flight does not have it."""
+    document = json.loads((folder / places.MANIFEST_FILE).read_text())
+    for name, value in document["summary"].items():
+        assert not (isinstance(value, float) and math.isnan(value)), f"{folder.name}: {name} is {value}"
+
+
+class Shop:
+    """Flights that several actions use, each flown once into a folder of this process."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+        self.flown: dict[str, Path | Refused] = {}
+
+    def flight(self, name: str, *more: object) -> Path:
+        """Return the result of a short flight of an experiment."""
+        key = " ".join(map(str, (name, *more)))
+        if key not in self.flown:
+            out = self.place / "flight" / places.file_name(key)
+            duration = shortest(rust.load_config(name if not name.endswith(".toml") else Path(name)))
+            words = ("fly", name, "--set", f"simulator.duration={duration}", "--name", "run", "--out", out, *more)
+            try:
+                do(*words)
+                check_figures(out / "run")
+                self.flown[key] = out / "run"
+            except Refused as refusal:
+                self.flown[key] = refusal
+        found = self.flown[key]
+        if isinstance(found, Refused):
+            raise found
+        return found
+
+    def path(self, pair: str, name: str) -> Path:
+        """Return a path that no other action uses."""
+        folder = self.place / places.file_name(pair)
+        folder.mkdir(exist_ok=True, parents=True)
+        return folder / name
+
+
+Action = Callable[[Shop, str], object]
+ACTIONS: dict[str, dict[str, Action]] = {}
+"""What can be done with a file, by the folder of `configs` that it is in, and name."""
+NIGHTLY: set[str] = set()
+"""Actions that compile JAX programs."""
+
+
+def action(*kinds: str, jax: bool = False) -> Callable[[Action], Action]:
+    """Enter a function as an action on kinds of files; its name is that of the action."""
+
+    def enter(function: Action) -> Action:
+        for kind in kinds:
+            ACTIONS.setdefault(kind, {})[function.__name__] = function
+        if jax:
+            NIGHTLY.add(function.__name__)
+        return function
+
+    return enter
+
+
+@action("experiments")
+def fly(shop: Shop, name: str) -> None:
+    """Fly it with its own back end."""
+    shop.flight(name)
+
+
+@action("experiments")
+def replay(shop: Shop, name: str) -> None:
+    """Replay its own log to the last bit."""
+    answer = do("replay", shop.flight(name))
+    assert "equal to the last bit" in answer.text, answer
+
+
+def exported(shop: Shop, name: str, suffix: str, *words: str) -> Path:
+    """Return a flight in another format."""
+    path = shop.path(f"{name}{suffix}", f"flight{suffix}")
+    if not path.exists():
+        do("export", shop.flight(name), *words, "--out", path)
+    return path
+
+
+@action("experiments")
+def export_html(shop: Shop, name: str) -> None:
+    """Export it as a page."""
+    exported(shop, name, ".html", "--html")
+
+
+@action("experiments")
+def export_ros2(shop: Shop, name: str) -> None:
+    """Export it as messages of ROS 2."""
+    exported(shop, name, ".ros2.mcap", "--mcap", "--profile", "ros2")
+
+
+@action("experiments")
+def export_mcap(shop: Shop, name: str) -> None:
+    """Export it as MCAP, and replay that."""
+    replayed(shop, name, ".mcap", "--mcap")
+
+
+@action("experiments")
+def export_csv(shop: Shop, name: str) -> None:
+    """Export it as CSV, and replay that."""
+    replayed(shop, name, ".csv", "--csv")
+
+
+@action("experiments")
+def export_mat(shop: Shop, name: str) -> None:
+    """Export it for MATLAB, and replay that."""
+    replayed(shop, name, ".mat", "--mat")
+
+
+def replayed(shop: Shop, name: str, suffix: str, *words: str) -> None:
+    path = exported(shop, name, suffix, *words)
+    changes = ("--set", f"simulator.duration={shortest(rust.load_config(name))}")
+    do("replay", path, "--experiment", name, *changes, table=True)
+
+
+@action("experiments")
+def export_config(shop: Shop, name: str) -> None:
+    """Export all files that it needs, and fly from there."""
+    out = shop.path(f"{name} folder", "files")
+    do("export", name, "--config", "--out", out)
+    (file,) = [path for path in out.rglob(f"{name}.toml") if path.parent.name == "experiments" or path.parent == out]
+    shop.flight(str(file))
+
+
+@action("experiments")
+def compare(shop: Shop, name: str) -> None:
+    """Draw it."""
+    do("figures", "compare", "--runs", shop.flight(name), "--out", shop.path(f"{name} figure", "figures"))
+
+
+@action("experiments")
+def snapshot(shop: Shop, name: str) -> None:
+    """Draw its robot."""
+    out = shop.path(f"{name} snapshot", "flight.png")
+    do("view", "snapshot", shop.flight(name), "--renderer", "pillow", "--size", "160x120", "--at", "0.1", "--out", out)
+
+
+@action("experiments", jax=True)
+def identify(shop: Shop, name: str) -> None:
+    """Find numbers in a log of four seconds."""
+    flight = shop.flight(name, "--set", "simulator.duration=4.0")
+    do("identify", flight, "--out", shop.path(f"{name} identified", "numbers"), table=True)
+
+
+@action("experiments", jax=True)
+def fly_jax(shop: Shop, name: str) -> None:
+    """Fly it with JAX."""
+    shop.flight(name, "--backend", "jax")
+
+
+@action("experiments", jax=True)
+def verify(shop: Shop, name: str) -> None:
+    """Compare the crate with JAX in it."""
+    do("verify", "--config", name, "--states", "3", "--out", shop.path(f"{name} verified", "verify"))
+
+
+@action("control")
+def replay_with(shop: Shop, name: str) -> None:
+    """Let a controller replay a log of a robot that it fits."""
+    robot = "mk3_hover" if name.startswith("mk3") else "platform_hover" if name.startswith("platform") else "test2"
+    do("replay", shop.flight(robot), "--controller", name, table=True)
+
+
+@action("robot")
+def air(shop: Shop, name: str) -> None:
+    """Compute the force of the air on a robot."""
+    do("air", "--robot", name, "--posture", "zero", "--out", shop.path(f"{name} air", "air"))
+
+
+@action("mission", "wind")
+def fly_in(shop: Shop, name: str) -> None:
+    """Fly TEST2 with another mission or wind."""
+    kind = "mission" if name in places.names("mission") else "wind"
+    robot = "mk3_min_jerk" if name.startswith("mk3") else "test2"
+    shop.flight(robot, "--set", f'{kind}={{base="{places.find(kind, name)}"}}')
+
+
+@action("aero")
+def fly_with(shop: Shop, name: str) -> None:
+    """Fly TEST2 in the air of another model."""
+    shop.flight("test2", "--set", f'simulator.aero={{base="{places.find("aero", name)}"}}')
+
+
+@action("sweeps")
+def fly_row(shop: Shop, name: str) -> None:
+    """Fly the first row of a sweep."""
+    out = shop.path(f"{name} row", "row")
+    duration = shortest(Design(spec.load(name)).row_config(0))
+    do("fly", "--row", name, "0", "--set", f"simulator.duration={duration}", "--out", out, "--name", "run")
+    check_figures(out / "run")
+
+
+@action("waypoints")
+def waypoints(shop: Shop, name: str) -> None:
+    """Make a mission of waypoints, and fly it."""
+    out = shop.path(f"{name} waypoints", "mission")
+    do("robot", "waypoints", name, "--out", out)
+    shop.flight(str(next(out.rglob(f"{name}.toml"))))
+
+
+@action("studies")
+def help_of(shop: Shop, name: str) -> None:
+    """Say what a study does."""
+    del shop
+    do("study", name, "--help")
+
+
+@action("onboard")
+def export_onboard(shop: Shop, name: str) -> None:
+    """Export what runs on board, and read it as a controller does."""
+    out = shop.path(f"{name} onboard", "files")
+    do("export", name, "--config", "--out", out)
+
+
+@action("commands")
+def explain(shop: Shop, name: str) -> None:
+    """Say what a command does."""
+    del shop
+    do(*name.split(), "--help")
+
+
+def reading(kind: str) -> Action:
+    """Return the action that reads a file as its command does."""
+
+    def read(shop: Shop, name: str) -> None:
+        del shop
+        tables.load(places.find(kind, name), schema.TYPES[kind])
+
+    return read
+
+
+for of_python in ("cfd", "cfd_flow", "perturbation", "training", "training_search"):
+    action(of_python)(reading(of_python))
+
+
+@action("simulator", "law", "engines", "tables")
+def belong(shop: Shop, name: str) -> None:
+    """A part of a configuration is named by a file that is flown or by a command."""
+    del shop
+    sources = [path for top in USERS for path in top.rglob("*") if path.suffix in {".toml", ".py"}]
+    assert any(re.search(rf"\b{name}\b", path.read_text()) for path in sources if path.stem != name)
+
+
+USERS = (places.CONFIGS, places.HOME / "jax_aero", places.HOME / "experiments")
+
+
+@cache
+def shipped() -> dict[str, list[str]]:
+    """Return the names of all that is shipped, by kind."""
+    kinds = {path.name: places.names(path.name) for path in sorted(places.CONFIGS.iterdir()) if path.is_dir()}
+    kinds = {kind: names for kind, names in kinds.items() if names}
+    studies = sorted(path.parent.name for path in places.STUDIES.glob("*/__init__.py"))
+    return {**kinds, "studies": studies, "commands": sorted({*cli.COMMANDS, *cli.FUNCTIONS})}
+
+
+def pairs() -> list[Pair]:
+    """Return all pairs."""
+    return [Pair(kind, name, action) for kind, names in shipped().items() for name in names for action in ACTIONS[kind]]
