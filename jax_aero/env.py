@@ -20,12 +20,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int, Key
 
 from jax_aero.base.features import Aim, aim_of
+from jax_aero.base.twin import Float, Int, Key, jax, jnp
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.spatial import rotation_angle
 from jax_aero.control.law.residual import Steering

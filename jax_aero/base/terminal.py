@@ -79,7 +79,8 @@ class ConfigError(Refused):
 
 def missing_package(what: str, missing: ModuleNotFoundError, extras: str) -> str:
     """Return the message about a package that is not installed: what needs it, and the extras that bring it."""
-    return f"{what} needs the package `{package_of(missing)}`: pip install 'jax-aero[{extras}]'"
+    how = f"in a clone `make setup`, else pip install 'WHEEL[{extras}]' with the file of jax-aero"
+    return f"{what} needs the package `{package_of(missing)}` of the extra `{extras}`: {how}"
 
 
 def package_of(missing: ModuleNotFoundError) -> str:

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import copy
+import shutil
 from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import Any
@@ -43,13 +44,37 @@ def aero_config(aero: Mapping[str, Any]) -> AeroConfig:
     return found
 
 
-def make_paths_absolute(config: Mapping[str, Any]) -> rust.Config:
-    """Return a configuration with absolute paths, from one with paths relative to the repository, as in a manifest."""
+OUTSIDE, COPIES = "(outside the repository)", "files"
+"""What stands in a manifest for the folder of a file outside the repository; the folder of a result with its copy."""
+
+
+def make_paths_absolute(config: Mapping[str, Any], folder: Path | None = None) -> rust.Config:
+    """Return a configuration with absolute paths, from one with portable paths, as in a manifest.
+
+    They are relative to the repository; files outside it are in `folder`, that of the result, if `copy_outside` has
+    copied them.
+    """
     placed = copy.deepcopy(dict(config))
     for key in rust.path_keys(placed):
-        if (path := HOME / get(placed, key)).is_file():
-            set_key(placed, key, str(path))
+        text = str(get(placed, key))
+        path = HOME / text
+        if folder is not None and text.startswith(OUTSIDE):
+            path = folder / COPIES / Path(text).name
+        if path.is_file():
+            set_key(placed, key, str(path.resolve()))
     return placed
+
+
+def copy_outside(config: Mapping[str, Any], folder: Path) -> None:
+    """Copy recordings outside the repository that a configuration names into the folder of its result.
+
+    A robot or a card names further files, and is not copied.
+    """
+    for key in rust.path_keys(config):
+        path = Path(get(config, key))
+        if make_portable(path).startswith(OUTSIDE) and path.suffix not in {".toml", ".json", ".urdf"}:
+            (folder / COPIES).mkdir(exist_ok=True)
+            shutil.copyfile(path, folder / COPIES / path.name)
 
 
 def make_portable(value: Any) -> Any:
@@ -63,5 +88,5 @@ def make_portable(value: Any) -> Any:
     if isinstance(value, str) and Path(value).is_absolute():
         path = Path(value)
         inside = path.is_relative_to(HOME)
-        return path.relative_to(HOME).as_posix() if inside else f"(outside the repository)/{path.name}"
+        return path.relative_to(HOME).as_posix() if inside else f"{OUTSIDE}/{path.name}"
     return value

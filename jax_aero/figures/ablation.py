@@ -26,7 +26,14 @@ SERIES = (
     (style.PURPLE, "v", "-"),
     (style.BLACK, "P", "--"),
     (style.SKY, "X", "-."),
+    (style.GREY, "o", ":"),
+    (style.BLUE, "s", "--"),
+    (style.VERMILION, "^", "-."),
+    (style.GREEN, "D", ":"),
+    (style.ORANGE, "v", "-"),
+    (style.PURPLE, "P", "--"),
 )
+"""Colour, marker and dash of each series; the shipped controllers of a challenge are seven."""
 UPRIGHT = SHARE.replace(", ", ",\n")
 """What the first panel shows; the others show figures of merit."""
 

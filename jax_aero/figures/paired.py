@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -9,8 +11,8 @@ from jax_aero.figures import style
 from jax_aero.figures.sweeps import Sweep, level_label
 from jax_aero.sweep.paired import COLUMNS, differences
 
-HEIGHT = 0.16
-"""Of a row [inches]."""
+HEIGHT, WIDTH = 0.16, 22
+"""Of a row [inches], and of a panel's label beside long names of levels [characters]."""
 
 
 def draw(sweep: Sweep, axis: str) -> Figure:
@@ -29,7 +31,7 @@ def draw(sweep: Sweep, axis: str) -> Figure:
         axes.hlines(place, found[f"{name}_low"], found[f"{name}_high"], color=style.BLUE, linewidth=1.4)
         axes.plot(found[name], place, "o", color=style.BLUE, markersize=3.8)
         axes.axvline(0.0, color=style.BLACK, linewidth=0.6)
-        axes.set_xlabel(title.replace(", ", ",\n"))
+        axes.set_xlabel(textwrap.fill(title, WIDTH))
     row[0].set_yticks(place, labels)
     row[0].set_ylim(len(found) - 0.5, -0.5)
     style.title(figure, f"{sweep.title}: differences")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import time
 import warnings
@@ -14,7 +15,7 @@ from jax_aero import backends
 from jax_aero.results import manifest, record, study
 from jax_aero.results.identity import Identity, computed_by
 from jax_aero import rust
-from jax_aero.base import documents, places
+from jax_aero.base import documents, places, typed
 from jax_aero.base.files import lock_work
 from jax_aero.base.terminal import progress_bar
 
@@ -107,7 +108,8 @@ def run(
         dataset = record.to_dataset(
             flight, robot, title=document["title"], config_digest=identity.digest, backend=backend
         )
-        record.write_run(folder, dataset, document, replace=overwrite)
+        copy = functools.partial(typed.copy_outside, config)
+        record.write_run(folder, dataset, document, replace=overwrite, more=copy)
     print(os.path.relpath(folder / places.RUN_FILE))
     return document
 

@@ -232,7 +232,7 @@ def _read(path: Path, robot: str | Path | None) -> Recording:
         raise Refused(f"`{path}` is not what was written there, by the checksum in {MANIFEST_FILE}; {EXPECTED}")
     signals, facts = _read_signals(path)
     try:
-        config = typed.make_paths_absolute(manifest["config"]) if "config" in manifest else None
+        config = typed.make_paths_absolute(manifest["config"], path.parent) if "config" in manifest else None
     except ConfigError as reason:
         raise reason.in_file(str(described)) from None
     robot_path = _robot_path(path, config, robot)

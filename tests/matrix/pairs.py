@@ -17,11 +17,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from experiments import schema
-from experiments.sweep import spec
-from experiments.sweep.design import Design
+import pytest
+
+from experiments.tools import schema
 from jax_aero import cli, rust
 from jax_aero.base import places, tables
+from jax_aero.figures.catalogue import FIGURES
+from jax_aero.sweep import spec
+from jax_aero.sweep.design import Design
+from jax_aero.verify import library
 
 SHORT = 0.2
 """Duration of a flight without a fault [s]."""
@@ -264,6 +268,23 @@ def verify(shop: Shop, name: str) -> None:
     do("verify", "--config", name, "--states", "3", "--out", shop.path(f"{name} verified", "verify"))
 
 
+@action("experiments")
+def embed(shop: Shop, name: str) -> None:
+    """Let the C library compute its commands."""
+    del shop
+    config = rust.load_config(name)
+    config = rust.set_keys(config, {"simulator.duration": shortest(config)})
+    if (path := library.find()) is None:
+        pytest.skip(f"libflight is missing: {library.BUILD}")
+    if reason := library.why_not(config):
+        raise Refused(reason)
+    try:
+        rows = library.verify_library(config, path)
+    except ValueError as refusal:
+        raise Refused(str(refusal)) from None
+    assert all(row.agrees for row in rows), name
+
+
 @action("control")
 def replay_with(shop: Shop, name: str) -> None:
     """Let a controller replay a log of a robot that it fits."""
@@ -275,6 +296,26 @@ def replay_with(shop: Shop, name: str) -> None:
 def air(shop: Shop, name: str) -> None:
     """Compute the force of the air on a robot."""
     do("air", "--robot", name, "--posture", "zero", "--out", shop.path(f"{name} air", "air"))
+
+
+@action("networks")
+def fly_network(shop: Shop, name: str) -> None:
+    """Fly TEST2 in the air of a network, which the controller knows."""
+    card = NETWORKS / f"{name}.json"
+    shop.flight("test2", *(word for part in AIRS for word in ("--set", f'{part}={{model="network",card="{card}"}}')))
+
+
+@action("figures")
+def draw(shop: Shop, name: str) -> None:
+    """Draw a figure, or say which results it lacks."""
+    out = shop.path(f"{name} figures", "out")
+    answer = run("figures", name, "--results", out / "flights", "--sweeps", out / "sweeps", "--out", out)
+    lacks = answer.status == 1 and re.search(r"no \w+ `.+` in .+ with: ", answer.text)
+    assert answer.status == 0 or lacks, answer
+
+
+NETWORKS = places.CONFIGS / "aero" / "networks"
+AIRS = ("simulator.aero", "controller.aero.model")
 
 
 @action("mission", "wind")
@@ -359,10 +400,31 @@ def shipped() -> dict[str, list[str]]:
     """Return the names of all that is shipped, by kind."""
     kinds = {path.name: places.names(path.name) for path in sorted(places.CONFIGS.iterdir()) if path.is_dir()}
     kinds = {kind: names for kind, names in kinds.items() if names}
-    studies = sorted(path.parent.name for path in places.STUDIES.glob("*/__init__.py"))
-    return {**kinds, "studies": studies, "commands": sorted({*cli.COMMANDS, *cli.FUNCTIONS})}
+    cards = [path.relative_to(NETWORKS).with_suffix("") for path in NETWORKS.rglob("*.json")]
+    return {
+        **kinds,
+        "commands": sorted({*cli.COMMANDS, *cli.NEEDS}),
+        "figures": sorted(FIGURES),
+        "networks": sorted(str(path) for path in cards if path.name != "ensemble"),
+        "studies": sorted(path.parent.name for path in places.STUDIES.glob("*/study.py")),
+    }
 
 
-def pairs() -> list[Pair]:
-    """Return all pairs."""
-    return [Pair(kind, name, action) for kind, names in shipped().items() for name in names for action in ACTIONS[kind]]
+def first() -> list[Pair]:
+    """Return one pair of each file and each command."""
+    return [Pair(kind, name, next(iter(ACTIONS[kind]))) for kind, names in shipped().items() for name in names]
+
+
+def others() -> list[Pair]:
+    """Return all other pairs."""
+    return [
+        Pair(kind, name, done)
+        for kind, names in shipped().items()
+        for name in names
+        for done in list(ACTIONS[kind])[1:]
+    ]
+
+
+def check(shop: Shop, pair: Pair) -> None:
+    """Do it."""
+    ACTIONS[pair.kind][pair.action](shop, pair.name)

@@ -738,7 +738,7 @@ def test_what_a_picture_of_a_flow_lacks_is_named(made_up_flow, monkeypatch, caps
     assert "no off-screen OpenGL; install EGL or OSMesa" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "pyvista", None)
     assert figures(arguments) == 1
-    assert "pip install 'jax-aero[flow]'" in capsys.readouterr().err
+    assert "of the extra `flow`: " in capsys.readouterr().err
 
 
 def test_a_mesh_without_triangles_or_with_a_corner_nowhere_is_refused(tmp_path):

@@ -1,0 +1,10 @@
+"""Each experiment with everything that JAX can do with it."""
+
+import pytest
+
+from tests.matrix import pairs
+
+
+@pytest.mark.parametrize("pair", [pair for pair in pairs.others() if pair.action in pairs.NIGHTLY], ids=str)
+def test_every_pair_of_jax(shop, pair):
+    pairs.check(shop, pair)
