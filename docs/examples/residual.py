@@ -1,6 +1,6 @@
 """Train a small network that adds to the baseline controller's commands, to hover in the wind: PPO of skrl.
 
-    pip install 'jax-aero[learn]'
+    pip install 'skrl[jax]>=2.1'
     python residual.py
 
 Ten times a second the network observes the flight and adds to the thrust rates of the controller.

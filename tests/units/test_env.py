@@ -364,7 +364,7 @@ def test_the_example_imports_names_that_exist():
 
 def test_the_example_trains_and_compares():
     """Where the extra `learn` is installed; a process of its own, as it forks before JAX starts threads."""
-    pytest.importorskip("skrl", reason="skrl is not installed: pip install 'jax-aero[learn]'")
+    pytest.importorskip("skrl", reason="skrl is not installed: pip install 'skrl[jax]'")
     short = ["--ticks", "2000", "--environments", "2", "--winds", "2"]
     done = subprocess.run(
         [sys.executable, str(EXAMPLE), *short], capture_output=True, text=True, check=False, timeout=300
