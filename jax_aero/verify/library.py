@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import rust
+from jax_aero import backends, rust
 from jax_aero.base import places, plain
 from jax_aero.base.result import FlightResult
 from jax_aero.base.terminal import Refused
@@ -63,7 +63,7 @@ def find() -> Path | None:
 
 def verify_library(config: Mapping[str, Any], path: Path) -> list[Row]:
     """Compare the commands of every tick of a flight."""
-    flight = rust.fly(config)
+    flight = backends.backend(backends.backend_of(config)).fly(config)
     found = commands(config, flight, path)
     return [
         compare("C", name, np.array([command[name] for command in found]), flight[signal], 0.0)

@@ -129,7 +129,7 @@ class Shop:
         """Return the result of a short flight of an experiment."""
         key = " ".join(map(str, (name, *more)))
         if key not in self.flown:
-            out = self.place / "flight" / places.file_name(key)
+            out = self.place / "flight" / places.addition(places.file_name(key))
             duration = shortest(rust.load_config(name if not name.endswith(".toml") else Path(name)))
             words = ("fly", name, "--set", f"simulator.duration={duration}", "--name", "run", "--out", out, *more)
             try:
@@ -301,21 +301,22 @@ def air(shop: Shop, name: str) -> None:
 @action("networks")
 def fly_network(shop: Shop, name: str) -> None:
     """Fly TEST2 in the air of a network, which the controller knows."""
-    card = NETWORKS / f"{name}.json"
-    shop.flight("test2", *(word for part in AIRS for word in ("--set", f'{part}={{model="network",card="{card}"}}')))
+    card, model = NETWORKS / f"{name}.json", places.find("aero", "network")
+    shop.flight("test2", *(word for part in AIRS for word in ("--set", f'{part}={{base="{model}",card="{card}"}}')))
 
 
 @action("figures")
 def draw(shop: Shop, name: str) -> None:
     """Draw a figure, or say which results it lacks."""
     out = shop.path(f"{name} figures", "out")
-    answer = run("figures", name, "--results", out / "flights", "--sweeps", out / "sweeps", "--out", out)
+    named = ("--runs", shop.flight("test2")) if FIGURES[name].is_of_any else ()
+    answer = run("figures", name, *named, "--results", out / "flights", "--sweeps", out / "sweeps", "--out", out)
     lacks = answer.status == 1 and re.search(r"no \w+ `.+` in .+ with: ", answer.text)
     assert answer.status == 0 or lacks, answer
 
 
 NETWORKS = places.CONFIGS / "aero" / "networks"
-AIRS = ("simulator.aero", "controller.aero.model")
+AIRS = ("simulator.aero", "controller.aero")
 
 
 @action("mission", "wind")
