@@ -3,12 +3,13 @@
 import json
 import re
 import warnings
+from pathlib import Path
 
 import pytest
 import xarray as xr
 
 from jax_aero import cli, rust
-from jax_aero.base import places, terminal
+from jax_aero.base import places, terminal, typed
 from jax_aero.base.result import ending
 from jax_aero.commands.fly import main
 from jax_aero.results import flight as runner
@@ -282,3 +283,19 @@ def test_seeds_are_found_at_any_depth():
         "wind.seed": 3,
         "wind.gust.seed": 4,
     }
+
+
+def test_a_recording_outside_the_repository_goes_with_its_flight(tmp_path):
+    """So that a log is replayed when the file is no longer there."""
+    config = rust.load_config("min_time", {"simulator.duration": 1.0})
+    there = tmp_path / "elsewhere" / "min_time.csv"
+    there.parent.mkdir()
+    there.write_bytes(Path(config["mission"]["file"]).read_bytes())
+    config["mission"]["file"] = str(there)
+    typed.copy_outside(config, tmp_path)
+    stored = manifest.make_portable(config)
+    assert stored["mission"]["file"] == "(outside the repository)/min_time.csv"
+    there.unlink()
+    placed = typed.make_paths_absolute(stored, tmp_path)
+    assert placed["mission"]["file"] == str(tmp_path / "files" / "min_time.csv")
+    assert placed["robot"] == config["robot"]
