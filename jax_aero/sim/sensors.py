@@ -59,6 +59,8 @@ class Sensors:
     """Bias of thrusts [N]."""
     thrust_noise_std: Float[Array, ""]
     """Standard deviation of the noise of thrusts [N]."""
+    thrust_resolution: Float[Array, ""]
+    """Resolution of thrusts [N]; zero for exact ones."""
     wind_ahead: Float[Array, " _"] | None
     """Times ahead at which the controller receives the true wind, from zero on [s]; `None` without a preview."""
     time_step: Float[Array, ""]
@@ -114,6 +116,7 @@ def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, join
         share=leaf(-np.expm1(-np.asarray(time_step) / time_constant) if time_constant else 1.0),
         thrust_bias=leaf(config.thrust.bias),
         thrust_noise_std=leaf(config.thrust.noise_std),
+        thrust_resolution=leaf(config.thrust.resolution),
         wind_ahead=leaf(np.arange(last + 1) * np.asarray(time_step)) if last else None,
         time_step=time_step,
         line=int(np.max(age)) + 1,
@@ -150,7 +153,10 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
             joint_position=joint_position,
             velocity=join(past_state(2).velocity[:3] + linear, base_rotation @ gyro, joint_velocity),
         ),
-        line.thrust[errors.age[5]] + errors.thrust_bias + errors.thrust_noise_std * drawn[12:],
+        _quantise(
+            line.thrust[errors.age[5]] + errors.thrust_bias + errors.thrust_noise_std * drawn[12:],
+            errors.thrust_resolution,
+        ),
     )
     return SensorState(line, said), said
 
@@ -160,8 +166,12 @@ def _encode(errors: Sensors, position: Array, time: Array) -> Array:
     # The phase of each joint is a radian behind that of the one before.
     amplitude, rate = errors.tremble
     phase = rate * time - jnp.arange(errors.joint_bias.shape[0], dtype=errors.joint_bias.dtype)
-    measured = position + (errors.joint_bias + amplitude * jnp.sin(phase))
+    return _quantise(position + (errors.joint_bias + amplitude * jnp.sin(phase)), errors.resolution)
+
+
+def _quantise(measured: Array, resolution: Array) -> Array:
+    """Return the nearest multiples of a resolution; zero leaves a measurement as it is."""
     # Multiplied by the reciprocal explicitly, as XLA does: ties must round equally in both languages.
-    steps = measured * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))
-    rounded = errors.resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
-    return jnp.where(errors.resolution > 0.0, rounded, measured)
+    steps = measured * (1.0 / jnp.where(resolution > 0.0, resolution, 1.0))
+    rounded = resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
+    return jnp.where(resolution > 0.0, rounded, measured)

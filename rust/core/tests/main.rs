@@ -31,4 +31,5 @@ mod spatial;
 mod tasks;
 mod timing;
 mod tracking_error;
+mod unmeasured_engines;
 mod wind_observer;

@@ -132,6 +132,9 @@ pub struct ThrustSensorConfig {
     /// Standard deviation of white noise on every jet, drawn in every tick \[N\].
     #[schemars(range(min = 0))]
     pub noise_std: f64,
+    /// Quantisation step of the measurement \[N\]; zero for none.
+    #[schemars(range(min = 0))]
+    pub resolution: f64,
     /// Age of the measurement, rounded to ticks \[s\].
     #[schemars(range(min = 0, max = 1))]
     pub delay: f64,
@@ -143,7 +146,7 @@ fn age(delay: f64, time_step: f64) -> usize {
     (delay / time_step).round() as usize
 }
 
-/// A position as an encoder with this step measures it \[rad, m\].
+/// A position or thrust as a sensor with this step measures it \[rad, m, N\].
 fn quantised(position: f64, step: f64) -> f64 {
     // Not divided by `step`, which XLA would replace by a multiplication: ties must be rounded alike in both languages.
     if step > 0.0 { step * (position * (1.0 / step)).round() } else { position }
@@ -303,7 +306,8 @@ impl Sensors {
 
         let thrusts = &then(config.thrust.delay).thrust;
         for (measured, thrust) in reading.thrust.iter_mut().zip(thrusts) {
-            *measured = thrust + config.thrust.bias + config.thrust.noise_std * noise.normal();
+            let exact = thrust + config.thrust.bias + config.thrust.noise_std * noise.normal();
+            *measured = quantised(exact, config.thrust.resolution);
         }
         sample.state.copy_from(&reading.state);
         sample.thrust.copy_from_slice(&reading.thrust);

@@ -9,6 +9,7 @@ pub mod engines;
 pub mod joints;
 pub mod latency;
 pub mod tracking_error;
+pub mod unmeasured_engines;
 
 use super::command::Command;
 use super::limits::Limits;
@@ -83,6 +84,7 @@ macro_rules! detectors {
                 findings: &mut Findings,
             ) {
                 (findings.modes, findings.descends, findings.torque_latency) = <_>::default();
+                findings.unmodelled = None;
                 findings.sensor_error.fill(None);
                 $(if let Some((of, state)) = self.$name.as_mut().zip(states.$name.as_mut()) {
                     of.detect(state, tick, limits, findings);
@@ -100,6 +102,8 @@ macro_rules! detectors {
 }
 
 detectors! {
+    /// Engines that stop while their thrusts are not measured.
+    unmeasured_engines: unmeasured_engines::UnmeasuredEngines;
     /// Engines that do not follow their commands, and wrong thrust sensors.
     engines: engines::Engines;
     /// Joints that do not follow their torques.

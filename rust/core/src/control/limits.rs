@@ -76,12 +76,17 @@ impl Limits {
 
     /// Copies the limits of the same robot; does not allocate.
     pub fn copy_from(&mut self, other: &Self) {
-        let Self { gains, holds_position, thrust, works, joint_velocity, torque_rate, joints } = other;
+        self.descend(other);
+        self.thrust.copy_from_slice(&other.thrust);
+        self.works.copy_from_slice(&other.works);
+        self.joints.copy_from_slice(&other.joints);
+    }
+
+    /// Takes the gains, and the rates of the joints, of a descent.
+    pub(super) fn descend(&mut self, of_descent: &Self) {
+        let Self { gains, holds_position, joint_velocity, torque_rate, .. } = of_descent;
         (self.gains, self.holds_position) = (*gains, *holds_position);
-        self.thrust.copy_from_slice(thrust);
-        self.works.copy_from_slice(works);
         self.joint_velocity.copy_from_slice(joint_velocity);
         self.torque_rate.copy_from_slice(torque_rate);
-        self.joints.copy_from_slice(joints);
     }
 }

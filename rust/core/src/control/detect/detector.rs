@@ -13,6 +13,7 @@ use crate::dynamics::{Dynamics, InverseMass};
 use crate::jets::JetDynamics;
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
+use nalgebra::Vector6;
 
 /// What a detector is built for.
 #[derive(Debug, Clone, Copy)]
@@ -63,6 +64,8 @@ pub struct Findings {
     pub modes: Modes,
     /// Error of each thrust sensor that is found to be wrong in this tick \[N\].
     pub sensor_error: Vec<Option<f64>>,
+    /// Observed wrench in place of one that has taken in what is found \[N, N m\].
+    pub unmodelled: Option<Vector6<f64>>,
     /// Whether the robot is to descend.
     pub descends: bool,
     /// Measured latency of torques and thrust rates, as far as it is known \[s\].

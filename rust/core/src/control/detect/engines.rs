@@ -391,19 +391,23 @@ impl Engines {
     }
 
     /// Writes the limits of the law: of a limited engine the thrusts it reaches, so that the others take over its share;
-    /// after the loss of an engine those of the descent, unless the robot is standing. Returns whether one is lost.
+    /// after the loss of an engine those of the descent, unless the robot is standing. An engine may be lost by the thrusts
+    /// that the limits have before. Returns whether one is lost.
     pub fn limit(&self, engines: &[EngineState], is_standing: bool, limits: &mut Limits) -> bool {
-        let thrusts = || engines.iter().zip(&self.usual.thrust);
+        let thrusts = engines.iter().zip(&self.usual.thrust).zip(&limits.thrust);
         let descending = self.descending.as_ref().filter(|(descent, _)| {
-            thrusts().any(|(engine, (_, thrust_max))| engine.is_lost(descent, *thrust_max))
+            thrusts.clone().any(|((engine, (_, thrust_max)), (_, greatest))| {
+                engine.is_lost(descent, *thrust_max) || *greatest < descent.range_fraction_min * thrust_max
+            })
         });
-        let chosen = descending.filter(|_| !is_standing).map_or(&self.usual, |(_, limits)| limits);
-        limits.copy_from(chosen);
+        if let Some((_, of_descent)) = descending.filter(|_| !is_standing) {
+            limits.descend(of_descent);
+        }
         let of_law = limits.thrust.iter_mut().zip(&mut limits.works);
-        for ((engine, (thrust_min, thrust_max)), (range, works)) in thrusts().zip(of_law) {
-            *works = !engine.is_limited();
-            let greatest = engine.range.1.min(*thrust_max);
-            *range = (engine.range.0.max(*thrust_min).min(greatest), greatest);
+        for (engine, (range, works)) in engines.iter().zip(of_law) {
+            *works &= !engine.is_limited();
+            let greatest = engine.range.1.min(range.1);
+            *range = (engine.range.0.max(range.0).min(greatest), greatest);
         }
         descending.is_some()
     }
@@ -413,9 +417,12 @@ impl Engines {
 /// `FORCE_ARM`. `wrench` is `Σ a_i d̄_i` \[N, N m\]. Where it says as little, engines fail, the worse of the two cases.
 #[must_use]
 pub fn explains(wrench: &Vector6<f64>, residual: &Vector6<f64>) -> bool {
-    let square = |wrench: Vector6<f64>| {
-        let (force, moment) = parts(&wrench);
-        FORCE_ARM * FORCE_ARM * force.norm_squared() + moment.norm_squared()
-    };
+    let square = |wrench: Vector6<f64>| product(&wrench, &wrench);
     square(residual + wrench) < square(*residual)
+}
+
+/// Product of two wrenches, with forces at `FORCE_ARM` \[N² m²\].
+pub(super) fn product(one: &Vector6<f64>, other: &Vector6<f64>) -> f64 {
+    let ((force, moment), (other_force, other_moment)) = (parts(one), parts(other));
+    FORCE_ARM * FORCE_ARM * force.dot(&other_force) + moment.dot(&other_moment)
 }

@@ -39,6 +39,9 @@ impl Controller {
         self.detectors.detect(&mut state.detectors, &evidence, limits, findings);
         estimate.modes.insert(findings.modes);
         state.is_descending |= findings.descends;
+        if let Some((observer, wrench)) = disturbance.as_mut().zip(findings.unmodelled) {
+            observer.wrench = wrench;
+        }
         for (jet, error) in findings.sensor_error.iter().enumerate() {
             let Some(error) = error else { continue };
             Channels::reject_sensor(&mut state.channels, jet, *error);
