@@ -112,9 +112,9 @@ fn the_direction_of_the_change_decides() {
         (Robot::new().without(1, THRUST), None),
         (Vector6::new(0.0, 0.0, -100.0, 0.0, 0.0, 0.0), None),
         (Vector6::new(0.0, 0.0, 0.0, 0.0, -30.0, 0.0), None),
-        // The product is 30² of 30² + p²: more than 0.9 up to a third.
-        (Vector6::new(0.0, 0.0, 0.0, -30.0, 9.8, 0.0), Some(3)),
-        (Vector6::new(0.0, 0.0, 0.0, -30.0, 10.8, 0.0), None),
+        // Of (4 N m)² + (30 N m)² + p² all but p² is explained: nine tenths up to 10.1 N m.
+        (Vector6::new(0.0, 0.0, -100.0, -30.0, 10.0, 0.0), Some(3)),
+        (Vector6::new(0.0, 0.0, -100.0, -30.0, 10.2, 0.0), None),
     ] {
         let mut robot = Robot::new();
         assert_eq!(robot.first(5, CALM), None);

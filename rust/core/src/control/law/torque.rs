@@ -65,7 +65,7 @@ pub struct TorqueConfig {
     #[schemars(range(min = 0))]
     pub rotor_inertia: f64,
     /// Dry friction of the drives of revolute joints, by joint group, with which they oppose the commanded velocities
-    /// \[N m\].
+    /// \[N m\]; compensated while the feet carry no load.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<BTreeMap<String, NonNegative>>")]
     pub friction: Option<BTreeMap<String, f64>>,

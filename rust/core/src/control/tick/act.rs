@@ -1,6 +1,7 @@
 //! From commanded joint velocities to torques, by the torque QP and a rate limiter.
 //!
-//! Compensated friction is `F = f tanh(ṡ* / v)`: of the commanded velocity, since that of a joint that sticks has no sign.
+//! Compensated friction is `F = f tanh(ṡ* / v)` in flight: of the commanded velocity, since that of a joint that sticks has no
+//! sign.
 //!
 //! This file has the integral of M68 and the friction of M69 of `docs/model`.
 
@@ -50,11 +51,11 @@ impl Torques {
         let Terms { inverse_mass, free_acceleration, contact, limits, torque_qp, .. } = terms;
         let friction = &mut state.acting.friction;
         self.compare(state.estimate.robot.state.joint_velocity(), command);
-        let have_friction = self.friction.iter().any(|friction| *friction > 0.0);
-        if have_friction {
-            for (joint, (to, friction)) in friction.iter_mut().zip(&self.friction).enumerate() {
-                *to = friction * libm::tanh(command.joint_velocity[joint] / SLIP);
-            }
+        // Known too large, it would fell a robot that stands, whose joints hardly move.
+        let have_friction = !state.contact.is_active && self.friction.iter().any(|friction| *friction > 0.0);
+        for (joint, (to, friction)) in friction.iter_mut().zip(&self.friction).enumerate() {
+            *to =
+                if have_friction { friction * libm::tanh(command.joint_velocity[joint] / SLIP) } else { 0.0 };
         }
         for (integral, found) in state.velocity_error_integral.iter_mut().zip(&limits.joints) {
             if matches!(found, JointCondition::Stuck | JointCondition::Free) {
