@@ -104,11 +104,16 @@ class EstimatorConfig(Struct, frozen=True, kw_only=True):
     thrust: FilterConfig = FilterConfig()
 
 
+class UnmeasuredEnginesConfig(Struct, frozen=True, kw_only=True):
+    force_min: float
+
+
 class FaultDetectionConfig(Struct, frozen=True, kw_only=True):
     engines: dict[str, Any] | None = None
     joints: dict[str, Any] | None = None
     latency: dict[str, Any] | None = None
     tracking_error: dict[str, Any] | None = None
+    unmeasured_engines: UnmeasuredEnginesConfig | None = None
 
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
 
@@ -396,6 +401,7 @@ class ThrustSensorConfig(Struct, frozen=True, kw_only=True):
     bias: float = 0.0
     delay: float = 0.0
     noise_std: float = 0.0
+    resolution: float = 0.0
 
 
 class SensorsConfig(Struct, frozen=True, kw_only=True):

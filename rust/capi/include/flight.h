@@ -64,6 +64,8 @@ typedef enum FlightMode {
   FLIGHT_MOMENTUM_HELD = 4194304,
   // The torque QP has no answer: torques keep their values.
   FLIGHT_TORQUE_HELD = 8388608,
+  // An engine whose thrust is not measured has stopped, as the momentum shows.
+  FLIGHT_ENGINE_STOPPED = 16777216,
 } FlightMode;
 
 // Version of the library to which this header belongs: 10000 major + 100 minor + patch.
