@@ -604,6 +604,8 @@ def test_the_wake_is_where_air_is_slow_and_counts_by_area(monkeypatch, agree):
     cells.cell_data.update({"speed": [0.1, 0.4, 0.9], "viscosity": [30.0, 200.0, 900.0], "pressure": np.zeros(3)})
     cells.cell_data["U"] = [[17.0, 0.0, 0.0]] * 3
     wall["pressure"] = wall.points[:, 0]
+    is_upper = wall.cell_centers().points[:, 2] > 0.15  # a cap of a quarter of the sphere
+    wall.cell_data["viscosity"] = np.where(is_upper, 101.0, 99.0)
     result = simulate.Result("", dict.fromkeys(LINKS, (0.01, 0.0, -0.01)), {}, {"pressure share of the force": 0.9})
     monkeypatch.setattr(foam, "environment", lambda: None)
     monkeypatch.setattr(flow, "make_mesh", lambda *_: FACTS)
@@ -615,6 +617,8 @@ def test_the_wake_is_where_air_is_slow_and_counts_by_area(monkeypatch, agree):
     agree("largest", found.summary["turbulent over molecular viscosity, largest in the plane"], 900.0, 1e-12)
     # Single precision: areas of triangles, each within a few roundings of 6e-8.
     agree("wake", found.summary["part of the wake in the plane where that is above 100"], 0.75, 1e-6)
+    # The cap's edge is that of triangles of 6°.
+    assert found.summary["part of the surface where that is above 100"] == pytest.approx(0.25, abs=0.04)
     assert np.ptp(found.dataset["plane_position"].values, axis=0).tolist() == [5.0, 0.0, 2.0]
     assert found.dataset["line_speed"].values.min() >= 0.1 - 1e-6
     assert found.dataset["wall_pressure"].attrs == {"units": "1", "long_name": "pressure coefficient"}
