@@ -295,6 +295,14 @@ class JetFaultsConfig(Struct, frozen=True, kw_only=True):
     measurement_noise: MeasurementNoise | None = None
     thrust_limit_scale: float | None = None
 
+JointFaultKind: TypeAlias = Literal["stuck", "weak", "free"]
+
+
+class JointFault(Struct, frozen=True, kw_only=True):
+    joint: str
+    kind: JointFaultKind
+    start: float
+
 
 class ModelError(Struct, frozen=True, kw_only=True):
     com_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -303,17 +311,47 @@ class ModelError(Struct, frozen=True, kw_only=True):
     of_plant: bool | None = None
     thrust_axes: tuple[tuple[float, float, float], ...] = ()
 
+OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity"]
+
+OutageKind: TypeAlias = Literal["missing", "nan", "frozen", "wrong"]
+
+
+class Outage(Struct, frozen=True, kw_only=True):
+    channel: OutageChannel
+    duration: float | None = None
+    error: float = 1.0
+    jet: str | None = None
+    kind: OutageKind
+    start: float
+
+
+class Push(Struct, frozen=True, kw_only=True):
+    body: str
+    duration: float
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start: float
+
+
+class WindEstimateConfig(Struct, frozen=True, kw_only=True):
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    delay: float = 0.0
+    mean_only: bool = False
+    noise_std: float = 0.0
+    seed: int = 0
+    time_constant: float = 0.0
+
 
 class Disturbances(Struct, frozen=True, kw_only=True):
     aero: ForceFactorsConfig = ForceFactorsConfig()
     aero_estimate: ForceFactorsConfig = ForceFactorsConfig()
     controller_wind: WindConfig | None = None
     jets: JetFaultsConfig = JetFaultsConfig()
-    joints: tuple[dict[str, Any], ...] = ()
+    joints: tuple[JointFault, ...] = ()
     model_error: ModelError = ModelError()
-    outages: tuple[dict[str, Any], ...] = ()
-    pushes: tuple[dict[str, Any], ...] = ()
-    wind_estimate: dict[str, Any] | None = None
+    outages: tuple[Outage, ...] = ()
+    pushes: tuple[Push, ...] = ()
+    wind_estimate: WindEstimateConfig | None = None
 
 
 class MissionConfig(Struct, frozen=True, kw_only=True):
@@ -375,6 +413,21 @@ JetsConfig: TypeAlias = IdealJetsConfig | ThrottledJetsConfig | MeasuredJetsConf
 AeroKinematics: TypeAlias = Literal["current", "frozen"]
 
 
+class ElasticityConfig(Struct, frozen=True, kw_only=True):
+    damping: float
+    stiffness: float
+
+
+class MotorsConfig(Struct, frozen=True, kw_only=True):
+    damping: float
+    elasticity: ElasticityConfig | None = None
+    friction: float
+    friction_of: dict[str, float] = {}
+    inertia: float
+    load_friction: dict[str, float] = {}
+    time_constant: float = 0.0
+
+
 class SensorConfig(Struct, frozen=True, kw_only=True):
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: float = 0.0
@@ -429,7 +482,7 @@ class SimulatorConfig(Struct, frozen=True, kw_only=True):
     joint_stops: bool = True
     kinematics: AeroKinematics = "current"
     lever_arm: LeverArm = "rotated"
-    motors: dict[str, Any] | None = None
+    motors: MotorsConfig | None = None
     sensors: SensorsConfig | None = None
     substeps: int = 1
 

@@ -27,9 +27,8 @@ from typing import Any, Literal, TypeAlias
 from msgspec import Struct, field
 '''
 PLAIN = {
-    "ChannelsConfig", "ContactConfig", "EnginesConfig", "FuelConfig", "GroundConfig", "JointFault", "JointsConfig",
-    "LatencyDetectorConfig", "MotorsConfig", "NonlinearConfig", "Outage", "OwnController", "Push", "QpConfig",
-    "ShaftConfig", "TrackingErrorConfig", "WindEstimateConfig",
+    "ChannelsConfig", "ContactConfig", "EnginesConfig", "FuelConfig", "GroundConfig", "JointsConfig",
+    "LatencyDetectorConfig", "NonlinearConfig", "OwnController", "QpConfig", "ShaftConfig", "TrackingErrorConfig",
 }  # fmt: skip
 """Tables that the crate alone reads: JAX knows at most whether they are given."""
 SCALARS = {"number": "float", "integer": "int", "string": "str", "boolean": "bool", "null": "None"}

@@ -15,7 +15,7 @@ from typing import assert_never
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_aero.body.linalg import invert, solve_positive_definite
 from jax_aero.body.robot import RobotModel
@@ -65,10 +65,17 @@ def invert_mass(dyn: Dynamics) -> InverseMass:
     return InverseMass(p.T @ d @ p, p.T @ moved, inertia, invert(inertia))
 
 
-def add_joint_inertia(inverse_mass: InverseMass, added: Float[Array, " n"]) -> InverseMass:
-    """Return the inverse of the mass matrix with more inertia on the diagonal of its joints."""
+def add_joint_inertia(
+    inverse_mass: InverseMass,
+    added: Float[Array, " n"],
+    unless: tuple[Bool[Array, ""], Float[Array, "n n"]] | None = None,
+) -> InverseMass:
+    """Return the inverse of the mass matrix with more inertia on the diagonal of its joints.
+
+    `unless` says whether its `joint_gain` is known already, and what it then is; by default, where nothing is added.
+    """
     inertia = inverse_mass.joint_inertia + jnp.diag(added)
-    gain = invert(inertia, unless=(jnp.all(added == 0.0), inverse_mass.joint_gain))
+    gain = invert(inertia, unless or (jnp.all(added == 0.0), inverse_mass.joint_gain))
     return inverse_mass._replace(joint_inertia=inertia, joint_gain=gain)
 
 

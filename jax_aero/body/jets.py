@@ -6,7 +6,7 @@ There are two dynamics: `ideal` follows the command exactly, as in every publish
 identified engine with the throttle loop and the estimator that the real robot needs. All functions process all jets at
 once. `JetDynamics` is a protocol: any pytree with its methods can be used.
 
-Equations M31 to M35 of `docs/model`.
+Equations M31 to M35 and M173 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -175,15 +175,23 @@ class SecondOrderJets:
 def predict_thrust(
     thrust: Float[Array, " j"],
     thrust_rate: Float[Array, " j"],
+    command: Float[Array, " j"],
     dt: Float[Array, ""],
     thrust_min: Float[Array, " j"],
-) -> Float[Array, " j"]:
-    """Return thrusts [N] after `dt` [s] at these rates [N/s] (M31), not below the least of each engine.
+    engines: Engines | None,
+) -> tuple[Float[Array, " j"], Float[Array, " j"]]:
+    """Return thrusts [N] and their rates [N/s] after `dt` [s] under commanded rates, as a controller assumes them.
 
-    A thrust that is below it already is that of an engine that has stopped: it does not rise by itself, and never
-    becomes negative.
+    Rates are the commanded ones (M31), or those that `engines` reach (M173). Thrusts are not below the least of each
+    engine; one that is already is that of an engine that has stopped: it does not rise by itself, and never becomes
+    negative.
     """
-    return jnp.maximum(thrust + dt * thrust_rate, jnp.clip(thrust, 0.0, thrust_min))
+    rate = mean = command
+    if engines is not None:
+        least, greatest = acceleration_range(engines, thrust, thrust_rate)
+        rate = thrust_rate + jnp.minimum(jnp.maximum(command - thrust_rate, dt * least), dt * greatest)
+        mean = 0.5 * (thrust_rate + rate)
+    return jnp.maximum(thrust + dt * mean, jnp.clip(thrust, 0.0, thrust_min)), rate
 
 
 def _not_below(least: Array, thrust: Array, thrust_rate: Array) -> tuple[Array, Array]:
@@ -192,12 +200,10 @@ def _not_below(least: Array, thrust: Array, thrust_rate: Array) -> tuple[Array, 
 
 
 def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
-    """Return the configured jet dynamics, and refuse those that JAX does not have."""
+    """Return the configured jet dynamics; `jax_aero.refusals` has those that JAX lacks."""
     match settings:
         case IdealJetsConfig():
             return IdealJets(robot.jets.thrust_min)
-        case ThrottledJetsConfig(shaft=dict()):
-            raise ValueError("`simulator.jets.shaft` is given; expected none: JAX's plant has no shafts")
         case ThrottledJetsConfig():
             return SecondOrderJets(
                 engines=engines(robot, settings.engines or robot.jets.engines),
@@ -205,8 +211,7 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
                 feedback_is_estimated=settings.feedback == "estimated",
             )
         case MeasuredJetsConfig():
-            expected = 'expected "ideal" or "throttled": JAX has no maps'
-            raise ValueError(f'`simulator.jets.dynamics` is "measured"; {expected}')
+            raise AssertionError("maps are refused before")
         case _:
             assert_never(settings)
 

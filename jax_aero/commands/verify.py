@@ -44,7 +44,8 @@ def main(arguments: Sequence[str]) -> int:
 def _compare(options: argparse.Namespace) -> int:
     import jax
 
-    from jax_aero.sim.preparation import read_config, refuse
+    from jax_aero.refusals import refuse
+    from jax_aero.sim.preparation import read_config
     from jax_aero.sim.programs import keep_programs
     from jax_aero.verify.flight import verify_flight
     from jax_aero.verify.law import verify_law

@@ -23,7 +23,7 @@ class Measurement(NamedTuple):
     preview: Preview = Preview()
     """What is known of the future."""
     thrust_rate: Float[Array, " j"] | None = None
-    """Rates of the thrusts, which the crate predicts, for a plan with engines; `None` for zero [N/s]."""
+    """Rates that the thrusts have when this tick's begin to act, as predicted; `None` without engines [N/s]."""
 
 
 class Reading(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jax_aero.control.estimate.disturbance_observer import ObserverState
@@ -12,6 +13,24 @@ from jax_aero.control.law.plan import Plan
 from jax_aero.control.law.setpoint import SetpointState
 from jax_aero.control.qp import WarmStart
 from jax_aero.types import Array
+
+
+class EnginesState(NamedTuple):
+    """What engines do under the last command, where no estimator knows it."""
+
+    thrust: Float[Array, " j"]
+    """Measured thrusts [N]."""
+    thrust_rate: Float[Array, " j"]
+    """Their predicted rates [N/s]."""
+    command: Float[Array, " j"]
+    """Commanded rates [N/s]."""
+    has_command: Bool[Array, ""]
+    """Whether there is one."""
+
+
+def start_engines(rest: Float[Array, " j"]) -> EnginesState:
+    """Return engines without a command; `rest` are zeros."""
+    return EnginesState(rest, rest, rest, jnp.array(False))
 
 
 class ControllerState(NamedTuple):
@@ -34,6 +53,8 @@ class ControllerState(NamedTuple):
     """Starting point of the torque QP."""
     estimator: EstimatorState | None
     """State of the estimator; `None` without one."""
+    engines: EnginesState | None
+    """Engines under the last command; `None` without engines, and with an estimator."""
     observer: ObserverState | None
     """Observed wrench and what the next tick is compared with; `None` without an observer."""
     plan: Plan | None

@@ -34,6 +34,8 @@ class Terms(NamedTuple):
     torque_qp: TorqueQp
     unlimited_torque: Float[Array, " n"]
     """Torques before the rate limiter [N m]."""
+    friction: Float[Array, " n"] | None
+    """Friction of the drives that is compensated [N m]; `None` if it is not."""
     residual: tuple[Float[Array, " j"], Float[Array, " n"]] | None
     """Thrust rates [N/s] and joint velocities [rad/s] to be added to the answer of the law; `None` without any."""
 

@@ -12,6 +12,7 @@ The unknowns of the momentum QP are `u = (Ṫ, ṡ)`, thrust rates and joint vel
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -22,6 +23,7 @@ from jaxtyping import Float
 from jax_aero.aero import AeroModel, LinkConventions, ReadNetwork, aero_model, weight_forces
 from jax_aero.aero.network_card import load_network
 from jax_aero.body.dynamics import dynamics
+from jax_aero.body.jets import Engines, engines, predict_thrust
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import multiply
@@ -30,7 +32,7 @@ from jax_aero.control import qp
 from jax_aero.control.command import Command
 from jax_aero.control.estimate import disturbance_observer, estimator
 from jax_aero.control.estimate.disturbance_observer import ObserverGains
-from jax_aero.control.estimate.estimator import Estimator, Order
+from jax_aero.control.estimate.estimator import Estimator, EstimatorModel, Order
 from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.attitude import MomentumGains
 from jax_aero.control.law.mission import Mission, load_mission
@@ -47,8 +49,9 @@ from jax_aero.control.measurement import Measurement, Reading
 from jax_aero.control.mpc.config import Mpc, mpc_params
 from jax_aero.control.mpc.law import PredictiveLaw
 from jax_aero.control.preview import Preview
-from jax_aero.control.state import ControllerState
+from jax_aero.control.state import ControllerState, EnginesState, start_engines
 from jax_aero.control.terms import Model, Terms, update_model
+from jax_aero.refusals import refuse
 from jax_aero.rust import MODES
 from jax_aero.types import Array, Setpoint, State, leaf, leaves, pytree, static
 
@@ -77,6 +80,8 @@ class MomentumController:
     switches: Switches = static()
     aero: AeroModel
     """The controller's aerodynamic model."""
+    engines: Engines | None
+    """Engines that follow the thrust rates; `None` if thrusts do so themselves."""
     rate_feedback: Float[Array, "6"]
     """1 or 0: which components of the total estimated wrench enter the momentum rate."""
     momentum: MomentumGains
@@ -88,6 +93,8 @@ class MomentumController:
     """Greatest joint torques [N m]."""
     torque_rate_max: Float[Array, " n"]
     """Greatest torque rates [N m/s]."""
+    friction: Float[Array, " n"] | None
+    """Dry friction of the drives [N m]; `None` if it is not compensated."""
     setpoint: SetpointParams
     estimator: Estimator | None
     """State estimator that replaces the measured state; `None` without one."""
@@ -119,11 +126,12 @@ class MomentumController:
         if self.mpc is None:
             return self.momentum_law()
         conventions, gains = self.switches.conventions, (self.torque.kd, self.torque.kp)
-        return PredictiveLaw(self.mpc, self.momentum_law(), self.aero, conventions, gains, self.time_step)
+        momentum = self.momentum_law()
+        return PredictiveLaw(self.mpc, self.engines, momentum, self.aero, conventions, gains, self.time_step)
 
     def torques(self) -> Torques:
         """Return the torque law."""
-        return Torques(self.torque, self.torque_max, self.torque_rate_max, self.time_step)
+        return Torques(self.torque, self.friction, self.torque_max, self.torque_rate_max, self.time_step)
 
     def model(self, robot: RobotModel, now: Measurement) -> Model:
         """Return the values of a tick that depend on the measurement only."""
@@ -156,15 +164,10 @@ def momentum_controller(
     Raises
     ------
     ValueError
-        If the configuration is that of feet, or of another axis than each link's own; the message names the key.
+        If the law is none of JAX's, such as that of feet (`jax_aero.refusals`); the message names the key.
     """
+    refuse(config, of_law=True)
     controller, time_step = config.controller, leaf(config.controller.time_step)
-    if controller.contact is not None or not controller.use_jets:
-        key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
-        raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
-    if controller.axes_of is not None:
-        message = "expected none: in JAX each link has its own axis"
-        raise ValueError(f"`controller.axes_of` is {controller.axes_of}; {message}")
     feedback, aero = controller.aero_feedback, aero_model(controller.aero, robot, read_network)
     estimates = controller.estimator
     return MomentumController(
@@ -177,6 +180,7 @@ def momentum_controller(
             lead=0 if estimates is None else estimator.latency_in_ticks(estimates.latency, float(time_step))[0],
         ),
         aero=weight_forces(aero, config.disturbances.aero_estimate, robot),
+        engines=engines(robot, robot.jets.engines) if controller.jet_dynamics == "throttled" else None,
         rate_feedback=_components(feedback.momentum_rate),
         momentum=leaves(MomentumGains, controller.momentum),
         tasks=task_params(controller, robot),
@@ -184,14 +188,13 @@ def momentum_controller(
         torque=leaves(TorqueParams, controller.torque),
         torque_max=choose_limits(robot.joint_torque_max, controller.torque.torque_max, robot),
         torque_rate_max=choose_limits(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
+        friction=_friction(controller.torque.friction, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         estimator=None if estimates is None else estimator.estimator(estimates, time_step),
         observer=None
         if controller.disturbance_observer is None
         else leaves(ObserverGains, controller.disturbance_observer),
-        mpc=None
-        if controller.mpc is None
-        else mpc_params(controller.mpc, robot, config.controller.time_step, controller.jet_dynamics),
+        mpc=None if controller.mpc is None else mpc_params(controller.mpc, robot, config.controller.time_step),
         mission=load_mission(config.mission),
         time_step=time_step,
         residual=None if controller.policy is None else load_policy(controller.policy.card, robot),
@@ -202,6 +205,15 @@ def _components(known: RateFeedback) -> Array:
     """Return 1 for each known component (6,) of a wrench, 0 for the others."""
     has_force, has_moment = known in ("wrench", "force"), known in ("wrench", "moment")
     return leaf(np.repeat([has_force, has_moment], 3))
+
+
+def _friction(by_group: Mapping[str, float] | None, robot: RobotModel) -> Array | None:
+    """Return the friction of each joint's drive (n,) [N m], if there is any; a prismatic joint has none."""
+    friction = np.zeros(robot.n_joints)
+    for group, joints in robot.joint_groups:
+        friction[list(joints)] = (by_group or {}).get(group, 0.0)
+    friction *= robot.joint_turns
+    return leaf(friction) if friction.any() else None
 
 
 def init(params: MomentumController, robot: RobotModel, state: State) -> ControllerState:
@@ -218,7 +230,12 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         torque_is_known=jnp.array(False),
         momentum_start=qp.cold_start(jets + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
-        estimator=None if params.estimator is None else estimator.start(params.estimator, state, jets),
+        estimator=None
+        if params.estimator is None
+        else estimator.start(params.estimator, state, jets, has_engines=params.engines is not None),
+        engines=None
+        if params.engines is None or params.estimator is not None
+        else start_engines(jnp.zeros(jets, zeros.dtype)),
         observer=None if params.observer is None else disturbance_observer.start(zeros),
         plan=None if params.mpc is None else no_plan(params.mpc.structure.unknowns(jets), jets, zeros.dtype),
         residual=None if params.residual is None else disturbance_observer.start(zeros),
@@ -275,7 +292,7 @@ def decide(
         torque_qp=torque.answer,
         degraded_modes=rates.modes | jnp.where(torque.is_solved, 0, MODES["torque_held"]),
     )
-    terms = Terms(estimates, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, added)
+    terms = Terms(estimates, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, torque.friction, added)
     return memory, command, terms
 
 
@@ -284,10 +301,18 @@ def _measure(
 ) -> tuple[ControllerState, Measurement]:
     """Replace what is measured by what is estimated of it."""
     if params.estimator is not None and memory.estimator is not None:
-        reading = Reading(measurement.state, measurement.thrust)
-        estimating, reading = estimator.update(params.estimator, robot, params.aero, memory.estimator, reading)
-        measurement = measurement._replace(state=reading.state, thrust=reading.thrust)
+        reading, known = (
+            Reading(measurement.state, measurement.thrust),
+            EstimatorModel(robot, params.aero, params.engines),
+        )
+        estimating, reading, rate = estimator.update(params.estimator, known, memory.estimator, reading)
+        measurement = measurement._replace(state=reading.state, thrust=reading.thrust, thrust_rate=rate)
         memory = memory._replace(estimator=estimating)
+    if memory.engines is not None:
+        thrust, rate, command, has_command = memory.engines
+        step, least = params.time_step, robot.jets.thrust_min
+        rate = jnp.where(has_command, predict_thrust(thrust, rate, command, step, least, params.engines)[1], rate)
+        measurement = measurement._replace(thrust_rate=rate)
     return memory, measurement
 
 
@@ -302,11 +327,15 @@ def _observe(params: MomentumController, memory: ControllerState, model: Model) 
 
 
 def _predict(memory: ControllerState, terms: Terms, command: Command) -> ControllerState:
-    """Store what the next tick expects: what the estimator's model does under the command."""
+    """Store what the next tick expects: what engines and the estimator's model do under the command."""
+    now = terms.estimates
+    if memory.engines is not None and now.thrust_rate is not None:
+        has_command = jnp.ones_like(memory.engines.has_command)
+        memory = memory._replace(engines=EnginesState(now.thrust, now.thrust_rate, command.thrust_rate, has_command))
     if memory.estimator is None:
         return memory
-    unmodelled, wind = terms.momentum.unmodelled_wrench, terms.estimates.wind
-    order = Order(command.joint_torque, command.thrust_rate, unmodelled, wind)
+    torque = command.joint_torque if terms.friction is None else command.joint_torque - terms.friction
+    order = Order(torque, command.thrust_rate, terms.momentum.unmodelled_wrench, now.wind)
     return memory._replace(estimator=estimator.command(memory.estimator, order))
 
 
@@ -319,6 +348,8 @@ def replace_command(
     `thrust_rate` [N/s], `joint_torque` [N m].
     """
     if memory.estimator is not None:
-        replaced = estimator.replace_command(memory.estimator, joint_torque, thrust_rate)
-        memory = memory._replace(estimator=replaced)
+        more = joint_torque - command.joint_torque
+        memory = memory._replace(estimator=estimator.replace_command(memory.estimator, more, thrust_rate))
+    if memory.engines is not None:
+        memory = memory._replace(engines=memory.engines._replace(command=thrust_rate))
     return memory, command._replace(thrust_rate=thrust_rate, joint_torque=joint_torque)

@@ -49,12 +49,13 @@ class Actuation:
 
     def act(self, state: ActuationState, given: Acting) -> tuple[ActuationState, Acting]:
         """Let the command arrive that does; thrust rates act by their mean over the tick."""
-        substeps = len(given.torques)
+        substeps = given.torques.shape[0]
         way = send(self, state, given.thrust_rate, given.torques[0])
-        torques = tuple(acting(way.torque, substep, substeps) for substep in range(substeps))
-        arrived = given._replace(thrust_rate=mean(way.thrust_rate, substeps), torques=torques)
-        rates, held = (hold(line, substeps) for line in way[:2])
-        return way._replace(thrust_rate=rates, torque=held), arrived
+        rates, torques = (acting(line, substeps) for line in way[:2])
+        arrived = Acting(jnp.sum(rates / substeps, axis=0), torques)
+        # What acts is held until another command arrives.
+        held = way.thrust_rate._replace(held=rates[-1]), way.torque._replace(held=torques[-1])
+        return ActuationState(*held, way.tick), arrived
 
 
 class Line(NamedTuple):
@@ -111,19 +112,9 @@ def _send(line: Line, command: Array, lag: Array) -> Line:
     )
 
 
-def acting(line: Line, substep: int, substeps: int) -> Float[Array, " x"]:
-    """Return the latest command that has arrived at a sub-step since the last one was sent, every `substeps`."""
-    age = substeps * jnp.arange(line.lag.shape[0], dtype=jnp.int32) + substep
-    has_arrived = (line.lag != LOST) & (line.lag <= age)
-    return jnp.where(jnp.any(has_arrived), line.sent[jnp.argmax(has_arrived)], line.held)
-
-
-def mean(line: Line, substeps: int) -> Float[Array, " x"]:
-    """Return the mean of the acting commands over the sub-steps of a tick."""
-    rates = [acting(line, substep, substeps) / substeps for substep in range(substeps)]
-    return jnp.sum(jnp.stack(rates), axis=0)
-
-
-def hold(line: Line, substeps: int) -> Line:
-    """Return the line before the next command is sent: what acts is held."""
-    return line._replace(held=acting(line, substeps - 1, substeps))
+def acting(line: Line, substeps: int) -> Float[Array, "s x"]:
+    """Return the latest command that has arrived at each sub-step of a tick; one is sent at the first of each tick."""
+    ages = jnp.arange(substeps, dtype=jnp.int32)[:, None] + substeps * jnp.arange(line.lag.shape[0], dtype=jnp.int32)
+    has_arrived = (line.lag != LOST)[None] & (line.lag[None] <= ages)
+    latest = line.sent[jnp.argmax(has_arrived, axis=1)]
+    return jnp.where(jnp.any(has_arrived, axis=1)[:, None], latest, line.held[None])

@@ -1,11 +1,11 @@
 """The simulated flying robot: rigid bodies, thrusts and wind.
 
-    M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
+    M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero + w_push − h(q, ν)
 
-There is no ground, no joint friction and no motor inertia; joint stops act unless they are disabled. The integration is
+There is no ground; joint stops act unless they are disabled, and drives if they are configured. The integration is
 identical to the Rust crate's.
 
-Equations M78, M79, M87 and M140 of `docs/model`.
+Equations M78, M79, M87, M140, M142 and M153 to M155 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -41,15 +41,19 @@ from jax_aero.config import (
     ScenarioConfig,
 )
 from jax_aero.sim.jet_faults import faulty_jets
+from jax_aero.sim.joint_faults import JointFaults, JointFaultsState, joint_faults
+from jax_aero.sim.model_error import simulated_robot
+from jax_aero.sim.motors import Motors, MotorsState, motors_of
+from jax_aero.sim.pushes import Pushes, pushes_of
 from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, State, leaf, pytree, static
 
 Result = TypeVar("Result")
 P = ParamSpec("P")
 
 STOP_STIFFNESS = 1e5
-"""Stiffness of a joint stop [N m/rad, N/m]: 50 N m deflect it by half a mrad."""
+"""Stiffness of a joint stop, and of what holds a stuck joint [N m/rad, N/m]: 50 N m deflect it by half a mrad."""
 STOP_DAMPING = 200.0
-"""Its damping [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
+"""Damping of both [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
 
 
 def options_of(version: tuple[int, ...]) -> dict[str, bool | int]:
@@ -87,6 +91,10 @@ class Plant:
     jets: JetDynamics
     force_scale: Float[Array, " j"] | None
     """Ratio of each jet's force to its thrust; `None` if they are equal."""
+    motors: Motors | None
+    """Drives of the joints; `None` if torques act on the joints themselves."""
+    joint_faults: JointFaults | None
+    pushes: Pushes | None
     time_step: Float[Array, ""]
     """Time step [s]."""
     lever_arm: LeverArm = static()
@@ -104,6 +112,10 @@ class PlantState(NamedTuple):
     jets: JetsState
     first: State | None
     """State of the first tick, in which links are frozen for the aerodynamics (published); `None` if they move."""
+    motors: MotorsState | None
+    joint_faults: JointFaultsState | None
+    until_pushes: Float[Array, " p"] | None
+    """Times until the pushes [s], negative after their starts."""
 
 
 class Acting(NamedTuple):
@@ -111,7 +123,7 @@ class Acting(NamedTuple):
 
     thrust_rate: Float[Array, " j"]
     """Thrust rates that reach the jets [N/s]."""
-    torques: tuple[Float[Array, " n"], ...]
+    torques: Float[Array, "s n"]
     """Joint torques of each sub-step [N m]."""
 
 
@@ -143,7 +155,7 @@ def start_plant(
     `aero` and `jets` replace the models of the configuration.
     """
     config, disturbances = scenario.simulator, scenario.disturbances
-    initial = config.initial
+    initial, robot = config.initial, simulated_robot(scenario, robot)
     # A model without fields, such as an empty NamedTuple, counts as false.
     aero = aero_model(config.aero, robot, read_network) if aero is None else aero
     jets = jet_dynamics(config.jets, robot) if jets is None else jets
@@ -156,6 +168,9 @@ def start_plant(
         aero=weight_forces(aero, disturbances.aero, robot),
         jets=jets,
         force_scale=force_scale,
+        motors=motors_of(config.motors, robot),
+        joint_faults=joint_faults(disturbances.joints, robot),
+        pushes=pushes_of(disturbances.pushes, robot),
         time_step=leaf(scenario.controller.time_step),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
@@ -170,11 +185,15 @@ def start_plant(
         joint_position=joint_position,
         velocity=leaf(np.concatenate([initial.base_velocity, np.zeros(robot.n_joints)])),
     )
+    # Motors and faulty joints start as they are placed, before the fall.
+    motors = None if plant.motors is None else plant.motors.start(state)
+    faults = None if plant.joint_faults is None else plant.joint_faults.begin(joint_position)
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)
     first = state if config.kinematics == "frozen" else None
     begun = _start_jets(jets, leaf(initial.thrust))
-    return plant, PlantState(state, begun, first)
+    until_pushes = None if plant.pushes is None else jnp.asarray(plant.pushes.start)
+    return plant, PlantState(state, begun, first, motors, faults, until_pushes)
 
 
 def zero_state(state: PlantState) -> PlantState:
@@ -210,49 +229,84 @@ def observe(
 
 def advance(plant: Plant, state: PlantState, seen: Observation, acting: Acting, wind: Float[Array, "3"]) -> PlantState:
     """Advance one tick under what acts in it, from the observation of `state`; later sub-steps observe anew."""
-    for substep in range(plant.substeps):
-        now = seen if substep == 0 else observe(plant, state, wind)
-        state = state._replace(robot=_advance_robot(plant, state, now, acting, substep))
+    if plant.joint_faults is not None and state.joint_faults is not None:
+        faults = plant.joint_faults.begin_tick(state.joint_faults, plant.time_step, state.robot.joint_position)
+        state = state._replace(joint_faults=faults)
+    state = _advance_bodies(plant, state, seen, acting.torques[0])
+    if plant.substeps > 1:
+
+        def later(state: PlantState, torque: Array) -> tuple[PlantState, None]:
+            return _advance_bodies(plant, state, observe(plant, state, wind), torque), None
+
+        state = jax.lax.scan(later, state, acting.torques[1:])[0]
     return state._replace(jets=plant.jets.advance(state.jets, acting.thrust_rate, plant.time_step))
 
 
-def _advance_robot(plant: Plant, state: PlantState, seen: Observation, acting: Acting, substep: int) -> State:
+def _advance_bodies(plant: Plant, state: PlantState, seen: Observation, torque: Array) -> PlantState:
+    """Advance robot and drives by one sub-step under these torques."""
     robot, kin, step = plant.robot, seen.kinematics, plant.time_step / plant.substeps
     thrust = state.jets.thrust if plant.force_scale is None else plant.force_scale * state.jets.thrust
     # One point for moment and Jacobian; for a rigid body both are equivalent.
     force = (
         generalised_thrust(robot, kin, thrust)
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
-        + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), acting.torques[substep]])
+        - seen.dynamics.bias
     )
-    return _step(plant, state.robot, seen.inverse_mass, force - seen.dynamics.bias, step)
+    if plant.pushes is not None and state.until_pushes is not None:
+        force = force + plant.pushes.act(robot, kin, state.until_pushes, step)
+        state = state._replace(until_pushes=state.until_pushes - step)
+    return _step(plant, state, seen.inverse_mass, force, torque, step)
 
 
-def _step(plant: Plant, state: State, inverse: InverseMass, force: Array, step: Array) -> State:
+def _step(
+    plant: Plant, state: PlantState, inverse: InverseMass, force: Array, torque: Array, step: Array
+) -> PlantState:
+    """Take one step under a generalised force, which includes `−h`, and torques, with drives and joint stops."""
+    motors = None
+    if plant.motors is not None and state.motors is not None:
+        motors = plant.motors.lag(state.motors, torque, step)
+        torque = motors.torque
+    if plant.joint_faults is not None and state.joint_faults is not None:
+        torque = plant.joint_faults.reduce(state.joint_faults, torque)
+        is_stuck, held = plant.joint_faults.stuck(state.joint_faults, plant.robot.n_joints)
+        inverse, force = _hold(plant, state.robot, inverse, force, is_stuck, held, step)
+    if plant.motors is not None and motors is not None:
+        driven = plant.motors.drive(motors, torque, state.robot, inverse, force, step)
+        robot = _move(plant, state.robot, driven.inverse_mass, driven.force, step)
+        return state._replace(robot=robot, motors=plant.motors.advance(motors, driven, robot, step))
+    force = force + jnp.pad(torque, (6, 0))
+    return state._replace(robot=_move(plant, state.robot, inverse, force, step))
+
+
+def _move(plant: Plant, state: State, inverse: InverseMass, force: Array, step: Array) -> State:
     """Take one step under a generalised force, which includes `−h`, and the joint stops."""
     acceleration = accelerate(inverse, force)
     if plant.has_stops and plant.robot.n_joints:
-        acceleration = accelerate(*_stops(plant, state, inverse, force, acceleration, step))
+        lower, upper = jnp.asarray(plant.robot.joint_stops).T
+        ahead = _position(plant, state, step) + step * (state.velocity[6:] + step * acceleration[6:])
+        is_out = (ahead > upper) | (ahead < lower)
+        # Ranges may be infinite, which must not enter derivatives.
+        stop = jnp.where(ahead > upper, upper, jnp.where(ahead < lower, lower, 0.0))
+        acceleration = accelerate(*_hold(plant, state, inverse, force, is_out, stop, step))
     return integrate(plant, state, acceleration, step)
 
 
-def _stops(
-    plant: Plant, state: State, inverse: InverseMass, force: Array, acceleration: Array, step: Array
-) -> tuple[InverseMass, Array]:
-    """Return inverse mass matrix and force with the stops of the joints that this acceleration takes out of range.
+def _position(plant: Plant, state: State, step: Array) -> Array:
+    """Return where the velocity after the step acts: with explicit Euler, the positions at the end of the step."""
+    return state.joint_position + (step * state.velocity[6:] if plant.integrator == "explicit_euler" else 0.0)
 
-    Stops are springs and dampers, implicit in the velocity after the step and thus stable for every step size.
+
+def _hold(
+    plant: Plant, state: State, inverse: InverseMass, force: Array, is_held: Array, rest: Array, step: Array
+) -> tuple[InverseMass, Array]:
+    """Return inverse mass matrix and force with springs and dampers that hold some joints, at rest in `rest`.
+
+    They are implicit in the velocity after the step and thus stable for every step size.
     """
-    velocity, (lower, upper) = state.velocity[6:], jnp.asarray(plant.robot.joint_stops).T
-    # From where the velocity after the step acts: with explicit Euler, the end of the step.
-    position = state.joint_position + (step * velocity if plant.integrator == "explicit_euler" else 0.0)
-    ahead = position + step * (velocity + step * acceleration[6:])
-    is_out = (ahead > upper) | (ahead < lower)
-    # Ranges may be infinite, which must not enter derivatives.
-    stop = jnp.where(ahead > upper, upper, jnp.where(ahead < lower, lower, 0.0))
-    push = STOP_STIFFNESS * (position + step * velocity - stop) + STOP_DAMPING * velocity
-    added = jnp.where(is_out, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
-    return add_joint_inertia(inverse, added), force - jnp.pad(jnp.where(is_out, push, 0.0), (6, 0))
+    velocity = state.velocity[6:]
+    push = STOP_STIFFNESS * (_position(plant, state, step) + step * velocity - rest) + STOP_DAMPING * velocity
+    added = jnp.where(is_held, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
+    return add_joint_inertia(inverse, added), force - jnp.pad(jnp.where(is_held, push, 0.0), (6, 0))
 
 
 _rotation_from_rpy = run_once(rotation_from_rpy)
@@ -267,7 +321,7 @@ def _start_jets(jets: JetDynamics, thrust: Array) -> JetsState:
 def _fall_freely(plant: Plant, state: State) -> State:
     """Take the first step of the published model, under gravity alone."""
     dyn = dynamics(plant.robot, state, kinematics(plant.robot, state), plant.backend)
-    return _step(plant, state, invert_mass(dyn), -dyn.bias, plant.time_step)
+    return _move(plant, state, invert_mass(dyn), -dyn.bias, plant.time_step)
 
 
 def integrate(plant: Plant, state: State, acceleration: Float[Array, " N"], step: Float[Array, ""]) -> State:

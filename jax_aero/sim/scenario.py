@@ -13,9 +13,9 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.control import Controller
 from jax_aero.sim.actuation import Actuation
 from jax_aero.sim.jet_faults import FaultyJets
+from jax_aero.sim.measuring import Measuring
 from jax_aero.sim.outcome import FallLimits
 from jax_aero.sim.plant import Plant
-from jax_aero.sim.sensors import Sensors
 from jax_aero.sim.wind import Wind
 from jax_aero.types import Array, pytree, static, with_dtype
 
@@ -40,8 +40,8 @@ class Scenario:
     fall: FallLimits
     controller_model: RobotModel | None
     """The controller's model of the robot; `None` if it is the robot that flies."""
-    sensors: Sensors | None
-    """Errors of what is measured; `None` for none."""
+    measuring: Measuring
+    """What the controller is given of the robot and of the wind."""
     actuation: Actuation | None
     """Delays of commands; `None` for none."""
     n_ticks: Int[Array, ""]
@@ -56,9 +56,13 @@ class Scenario:
 
     @property
     def computed_from(self) -> tuple[str, ...]:
-        """Return the length for which noise is drawn, if it is."""
+        """Return the length for which noise is drawn, if it is, and the wind whose mean is measured."""
         jets_are_noisy = isinstance(self.plant.jets, FaultyJets) and self.plant.jets.sensor_noise is not None
-        return ("n_ticks",) if jets_are_noisy or self.sensors is not None or self.actuation is not None else ()
+        measured = self.measuring
+        drawn = (jets_are_noisy, measured.sensors is not None, measured.wind_estimate is not None)
+        has_mean = bool(measured.computed_from) and measured.controller_wind is None
+        of_length = ("n_ticks",) if any(drawn) or self.actuation is not None else ()
+        return (*of_length, *(("wind",) if has_mean else ()))
 
 
 def convert_precision(scenario: Scenario, state: T, dtype: Any) -> tuple[Scenario, T]:

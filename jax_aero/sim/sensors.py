@@ -6,7 +6,7 @@ joints ──► delay ──► + bias + tremble ──► steps of the encoder
 ```
 
 Noise is drawn before the flight. All sizes, and whether encoders differentiate, are numbers; the length of the delay
-line is structure.
+line is structure. Steps of encoders count in derivatives as if there were none (straight-through): their own are zero.
 
 Equations M88 to M90 of `docs/model`.
 """
@@ -173,5 +173,15 @@ def _quantise(measured: Array, resolution: Array) -> Array:
     """Return the nearest multiples of a resolution; zero leaves a measurement as it is."""
     # Multiplied by the reciprocal explicitly, as XLA does: ties must round equally in both languages.
     steps = measured * (1.0 / jnp.where(resolution > 0.0, resolution, 1.0))
-    rounded = resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
-    return jnp.where(resolution > 0.0, rounded, measured)
+    return jnp.where(resolution > 0.0, resolution * _round(steps), measured)
+
+
+@jax.custom_jvp
+def _round(steps: Array) -> Array:
+    """Return the nearest whole numbers, halves away from zero; with the derivative of the identity."""
+    return jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)
+
+
+@_round.defjvp
+def _round_jvp(primals, tangents):  # type: ignore[no-untyped-def]
+    return _round(*primals), tangents[0]

@@ -26,10 +26,10 @@ from jax_aero.control import Command, Measurement
 from jax_aero.sim import outcome
 from jax_aero.sim import plant as world
 from jax_aero.sim.actuation import ActuationState
+from jax_aero.sim.measuring import MeasuringState
 from jax_aero.sim.outcome import FLYING
 from jax_aero.sim.plant import Acting, Observation, PlantState
 from jax_aero.sim.scenario import Scenario, check_precision
-from jax_aero.sim.sensors import SensorState
 from jax_aero.sim.signals import FlightRow, record, record_divergence
 from jax_aero.sim.wind import wind_velocity
 from jax_aero.types import Array, where
@@ -41,7 +41,7 @@ class FlightState(NamedTuple):
     plant: PlantState
     controller: Any
     """State of the controller."""
-    sensors: SensorState | None
+    measuring: MeasuringState
     actuation: ActuationState | None
     posture: Float[Array, " n"]
     """Joint positions measured at the first tick [rad]."""
@@ -61,12 +61,12 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     first = where(divergence == FLYING, plant, world.zero_state(plant))
     still = jnp.zeros_like(plant.robot.velocity[:3])
     true = _truth(scenario, first, jnp.zeros_like(still[0]), still)
-    sensors = None if scenario.sensors is None else scenario.sensors.start(true)
-    seen = _measure(scenario, sensors, true, jnp.array(0, jnp.int32))[1]
+    measuring = scenario.measuring.start(true)
+    seen = _measure(scenario, measuring, true, jnp.array(0, jnp.int32))[1]
     return FlightState(
         plant=plant,
         controller=scenario.controller.init(scenario.model, seen.state),
-        sensors=sensors,
+        measuring=measuring,
         actuation=None if scenario.actuation is None else scenario.actuation.start(true),
         posture=seen.state.joint_position,
         loss=jnp.array(FLYING, jnp.int32),
@@ -99,7 +99,7 @@ def step(
     at_rest = world.zero_state(state.plant)
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
-    sensors, measurement = _measure(scenario, state.sensors, _truth(scenario, now, time, air), tick)
+    measuring, measurement = _measure(scenario, state.measuring, _truth(scenario, now, time, air), tick)
     memory, command = scenario.controller.step(scenario.model, state.controller, hand(measurement))
     command.check(plant.robot)
     seen = _observe(scenario, now, command, air)
@@ -112,14 +112,15 @@ def step(
     lost_now = (state.loss == FLYING) & (loss != FLYING)
     goes_on = (state.loss == FLYING) & (loss == FLYING)
     # The next step of a lost flight may overflow.
-    acting, actuation = Acting(command.thrust_rate, (command.joint_torque,) * plant.substeps), state.actuation
+    torques = jnp.broadcast_to(command.joint_torque, (plant.substeps, *command.joint_torque.shape))
+    acting, actuation = Acting(command.thrust_rate, torques), state.actuation
     if scenario.actuation is not None and actuation is not None:
         actuation, acting = scenario.actuation.act(actuation, acting)
     moved = world.advance(plant, where(goes_on, now, at_rest), seen, acting, air)
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
         controller=where(goes_on, memory, state.controller),
-        sensors=sensors,
+        measuring=measuring,
         actuation=actuation,
         posture=state.posture,
         loss=jnp.where(lost_now, loss, state.loss),
@@ -135,12 +136,10 @@ def _truth(scenario: Scenario, now: PlantState, time: Array, wind: Array) -> Mea
 
 
 def _measure(
-    scenario: Scenario, sensors: SensorState | None, true: Measurement, tick: Array
-) -> tuple[SensorState | None, Measurement]:
-    """Return the sensors' next state, and what they measure."""
-    if scenario.sensors is None or sensors is None:
-        return sensors, true
-    return scenario.sensors.measure(sensors, true, tick, scenario.wind)
+    scenario: Scenario, state: MeasuringState, true: Measurement, tick: Array
+) -> tuple[MeasuringState, Measurement]:
+    """Return the next state of what measures, and the measurement."""
+    return scenario.measuring.measure(state, true, tick, scenario.wind, scenario.plant.time_step)
 
 
 def _errors(

@@ -231,7 +231,8 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
 def compared(config: Mapping[str, Any]) -> Literal["tick", "law", "nothing"]:
     """Return what of a flight JAX computes: every "tick", the "law" alone, or "nothing" of its controller."""
     from jax_aero.base.typed import scenario_config
-    from jax_aero.sim.preparation import read_config, refuse
+    from jax_aero.refusals import refuse
+    from jax_aero.sim.preparation import read_config
 
     with suppress(ValueError):
         refuse(read_config(config))

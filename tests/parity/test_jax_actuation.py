@@ -51,7 +51,7 @@ def test_late_commands_have_derivatives():
         way = actuation(ActuationConfig(torque_delay=0.01), 0.01, 1, 3)
         state = way.start(FIRST)
         for torque in torques:
-            state, acting = way.act(state, Acting(jnp.zeros(1), (torque[None],)))
-        return acting.torques[0][0]
+            state, acting = way.act(state, Acting(jnp.zeros(1), torque[None, None]))
+        return acting.torques[0, 0]
 
     np.testing.assert_array_equal(jax.grad(second)(jnp.array([1.0, 2.0, 3.0])), [0.0, 1.0, 0.0])

@@ -30,9 +30,9 @@ def healthy():
 HEALTHY = tuple(healthy())
 OF_EVERY_KIND = (
     *("mk3_min_jerk_mpc", "robustness_mpc", "robustness_observer"),
-    *("test1_published_observer", "test2_sensors", "test2_sensors_mpc"),
+    *("test1_published_observer", "test2_sensors", "test2_sensors_mpc", "robot", "mk3_robot"),
 )
-"""Of those that JAX flies too: observer, estimator, predictive law, network and robot, each beside what it changes."""
+"""Of those that JAX flies too: observer, estimator, predictive law, network, robot, and all that a robot meets."""
 
 
 def test_flights_of_every_kind_are_healthy():
@@ -69,14 +69,10 @@ def test_jax_flies_as_the_guarded_crate(name, fly_both):
 
 REFUSED = {
     "disturbances.outages": [{"channel": "wind", "start": 1.0, "kind": "missing"}],
-    "disturbances.pushes": [{"body": "chest", "force": [1.0, 0.0, 0.0], "start": 0.0, "duration": 1.0}],
-    "disturbances.wind_estimate": {"noise_std": 1.0},
-    "disturbances.controller_wind": {"profile": "constant", "velocity": [0.0, -8.0, 0.0]},
     "controller.wind_observer": True,
     "disturbances.joints": [{"joint": "l_elbow", "kind": "stuck", "start": 1.0}],
     "disturbances.jets.failure": {"jet": "l_arm_jet", "time": 1.0, "kind": "off"},
     "disturbances.jets.thrust_limit_scale": 0.7,
-    "disturbances.jets.lag": 0.05,
     "controller.torque.steps": 5,
     "own_controller": {"file": __file__, "name": "healthy"},
     "simulator.sensors.base_position.period": 0.05,
@@ -92,13 +88,14 @@ def test_what_the_crate_alone_flies_is_refused(key):
 
 
 def test_engines_of_shafts_are_refused():
-    shaft = places.CONFIGS / "engines/jetcat_p300.toml"
-    jets = {"dynamics": "throttled", "shaft": tables.read(shaft)}
-    with pytest.raises(ValueError, match=r"`simulator\.jets\.shaft` is given; expected none"):
-        sim.prepare(rust.load_config("test2", {"simulator.jets": jets}), dtype=np.float32)
+    shaft = tables.read(places.CONFIGS / "engines/jetcat_p300.toml")
+    for key in ("simulator.jets", "controller"):
+        jets = {"simulator.jets.dynamics": "throttled"} if key == "simulator.jets" else {}
+        with pytest.raises(ValueError, match=rf"`{key}\.shaft` is given; expected none"):
+            sim.prepare(rust.load_config("test2", jets | {f"{key}.shaft": shaft}), dtype=np.float32)
 
 
-@pytest.mark.parametrize("key", ["fuel", "motors"])
+@pytest.mark.parametrize("key", ["fuel", "ground"])
 def test_what_this_engine_has_not_is_refused(key):
     config = scenario_config(rust.load_config("test2"))
     simulator = msgspec.structs.replace(config.simulator, **{key: object()})

@@ -17,7 +17,7 @@ from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control.tick import MomentumController
 from jax_aero.sim.outcome import lost_reason
-from jax_aero.sim.plant import Acting, PlantState, advance, observe, start_plant
+from jax_aero.sim.plant import Acting, advance, observe, start_plant
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State, pytree
 
@@ -81,10 +81,10 @@ def test_every_tick_of_the_world(experiment, agree):
     def tick_world(jets, logged):
         time, position, wxyz, joints, velocity, torque, thrust_rate = logged
         robot = State(position, rotation_from_wxyz(wxyz), joints, velocity)
-        state = PlantState(robot, jets, start.first)
+        state = start._replace(robot=robot, jets=jets)
         wind = wind_velocity(wind_now, time)
         seen = observe(plant, state, wind)
-        after = advance(plant, state, seen, Acting(thrust_rate, (torque,) * plant.substeps), wind)
+        after = advance(plant, state, seen, Acting(thrust_rate, jnp.tile(torque, (plant.substeps, 1))), wind)
         return after.jets, (seen.link_forces.forces, after.robot, after.jets.thrust, wind)
 
     names = ("time", "base_position", "base_quaternion", "joint_position")
@@ -115,7 +115,7 @@ def test_joints_meet_their_stops(integrator, agree):
     torque, rest = np.zeros(23), np.zeros(3)
     pressed = [names.index(name) for name in ("l_elbow", "r_knee", "torso_roll")]
     torque[pressed] = -20.0, 30.0, 40.0
-    acting = Acting(np.zeros(4), (torque,) * plant.substeps)
+    acting = Acting(np.zeros(4), np.tile(torque, (plant.substeps, 1)))
     step = jax.jit(lambda state: advance(plant, state, observe(plant, state, rest), acting, rest))
     for _ in range(30):
         state, _ = step(state), crate.step(command=rust.Command(np.zeros(4), torque))

@@ -30,5 +30,6 @@ def test_thrusts_end_at_the_least_of_running_engines():
         np.testing.assert_array_equal(lowest, least)
     thrust = jnp.array([20.0, 20.0, 11.0, 4.0, 4.0, 0.0, -3.0])
     rate = jnp.array([-10.0, -30.0, 4.0, -2.0, 2.0, -2.0, -2.0])
-    found = jets.predict_thrust(thrust, rate, jnp.array(0.5), jnp.full(7, 11.0))
+    found, after = jets.predict_thrust(thrust, jnp.zeros(7), rate, jnp.array(0.5), jnp.full(7, 11.0), None)
+    np.testing.assert_array_equal(after, rate)
     np.testing.assert_array_equal(found, [15.0, 11.0, 13.0, 4.0, 5.0, 0.0, 0.0])

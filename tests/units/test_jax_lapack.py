@@ -52,11 +52,16 @@ def test_ours_goes_in_pieces():
 
 EVERYTHING = {
     "second_order_jets": {"disturbances.jets.force_scale": {"l_arm_jet": 0.9}},
-    "test2_sensors_mpc": {
-        "controller.torque.rotor_inertia": 0.05,
-        "simulator.actuation": {"torque_delay": 0.01},
+    "robot": {
+        "controller.torque.friction": {"torso": 0.5},
+        "controller.fault_detection.joints": False,
+        "simulator.motors.elasticity": {"stiffness": 1000.0, "damping": 2.0},
         "simulator.sensors.wind_preview": 0.8,
         "disturbances.model_error.mass_scale": 1.1,
+        "disturbances.controller_wind": {"profile": "constant", "velocity": [0.0, -8.0, 0.0]},
+        "disturbances.wind_estimate": {"mean_only": True},
+        "disturbances.joints": [{"joint": "l_elbow", "kind": "weak", "start": 0.0}],
+        "disturbances.pushes": [{"body": "chest", "force": [1.0, 0.0, 0.0], "start": 0.0, "duration": 1.0}],
     },
     "test1_policy": {},
     "robustness": {},
@@ -85,8 +90,7 @@ def absent(tree):
 def test_the_flights_have_every_part():
     lacking = [dict(absent(shapes(experiment)[0])) for experiment in EVERYTHING]
     found = {name for each in lacking for name in each if all(other.get(name, True) for other in lacking)}
-    # The plan's model of the engines, without which JAX refuses to fly them.
-    assert found == {"Mpc.engines"}
+    assert found == set()
 
 
 @pytest.mark.parametrize("experiment", EVERYTHING)

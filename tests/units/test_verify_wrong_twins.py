@@ -134,7 +134,7 @@ def test_a_wrong_law_is_refused():
 
     assert refused(params) == []
     mpc = params.mpc
-    engines = mpc.engines._replace(k_d=1.01 * mpc.engines.k_d)
+    engines = params.engines._replace(k_d=1.01 * params.engines.k_d)
     late = flown.handed._replace(thrust=np.roll(flown.handed.thrust, 1, axis=0))
     turned = flown.handed._replace(thrust_rate=-flown.handed.thrust_rate)
     wrong = {
@@ -143,7 +143,7 @@ def test_a_wrong_law_is_refused():
         "1 % of mass": refused(params, replace(model, masses=1.01 * model.masses)),
         "thrusts of the tick before": refused(params, flown=flown._replace(handed=late)),
         "no wrench": refused(params, flown=flown._replace(wrench=0.0 * flown.wrench)),
-        "1 % of an engine's damping": refused(replace(params, mpc=replace(mpc, engines=engines))),
+        "1 % of an engine's damping": refused(replace(params, engines=engines)),
         "the sign of the thrust rates": refused(params, flown=flown._replace(handed=turned)),
     }
     assert all(wrong.values()), wrong

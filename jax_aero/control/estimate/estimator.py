@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
 from jax_aero.body.dynamics import dynamics, forward_dynamics
-from jax_aero.body.jets import predict_thrust
+from jax_aero.body.jets import Engines, predict_thrust
 from jax_aero.body.kinematics import generalised_thrust, kinematics, move
 from jax_aero.body.linalg import solve_positive_definite
 from jax_aero.body.robot import RobotModel
@@ -36,7 +36,7 @@ class Order(NamedTuple):
     """Inputs of the robot from one tick to the next."""
 
     torque: Float[Array, " n"]
-    """Joint torques [N m]."""
+    """Joint torques, less the friction of the drives [N m]."""
     thrust_rate: Float[Array, " j"]
     """Thrust rates [N/s]."""
     unmodelled: Float[Array, "6"]
@@ -71,10 +71,21 @@ class Estimator:
     """What is left of the latencies of torques, below one, and thrust rates [ticks]."""
 
 
+class EstimatorModel(NamedTuple):
+    """The model of the robot."""
+
+    robot: RobotModel
+    aero: AeroModel
+    engines: Engines | None
+    """Engines that follow the thrust rates; `None` if thrusts do so themselves."""
+
+
 class Estimate(NamedTuple):
     """State of the robot with what its model and its measurements do not contain."""
 
     reading: Reading
+    thrust_rate: Float[Array, " j"] | None
+    """Rates of the thrusts [N/s]; `None` without engines."""
     disturbance: Float[Array, " n"]
     """Joint accelerations that the model does not explain [rad/s²]."""
     gyro_bias: Float[Array, "3"]
@@ -140,7 +151,7 @@ def latency_in_ticks(latency: LatencyConfig, time_step: float) -> tuple[int, tup
     return int(whole), (float(torque - whole), float(thrust - whole))
 
 
-def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
+def start(settings: Estimator, state: State, jets: int, *, has_engines: bool) -> EstimatorState:
     """Return the state before the first measurement, which replaces the given state and the thrusts of zero."""
     length = settings.greatest_age + 1
 
@@ -149,15 +160,17 @@ def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
     order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3])
     line = jax.tree.map(lambda x: jnp.stack([x] * length), nothing)
     orders = jax.tree.map(lambda x: jnp.stack([x] * (length + int(np.ceil(settings.lags[1])))), order)
-    return EstimatorState(line, orders, Estimate(nothing, rest[6:], rest[:3]), jnp.array(0, jnp.int32))
+    then = Estimate(nothing, nothing.thrust if has_engines else None, rest[6:], rest[:3])
+    return EstimatorState(line, orders, then, jnp.array(0, jnp.int32))
 
 
 def update(
-    settings: Estimator, robot: RobotModel, aero: AeroModel, before: EstimatorState, measured: Reading
-) -> tuple[EstimatorState, Reading]:
+    settings: Estimator, known: EstimatorModel, before: EstimatorState, measured: Reading
+) -> tuple[EstimatorState, Reading, Float[Array, " j"] | None]:
     """Process a measurement, one time step after the last one; return the next state and the present estimate.
 
-    The first measurement also stands for all earlier ones.
+    The first measurement also stands for all earlier ones. Returned are also the rates that the thrusts have when those
+    of this tick begin to act [N/s]; `None` without engines.
     """
     # Selected before the computation, so that values and derivatives of the first tick do not depend on `start`.
     always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
@@ -185,12 +198,12 @@ def update(
         )
 
     late, longest, step = (torque_lag, thrust_lag % 1.0), oldest - whole, settings.time_step
-    then = where(before.ticks > longest, advance(robot, aero, then, acting(oldest + 1, late), step), then)
+    then = where(before.ticks > longest, advance(known, then, acting(oldest + 1, late), step), then)
     then = _correct(settings, then, line, jnp.array(oldest, jnp.int32))
 
     def predict(now: Estimate, age: Array) -> tuple[Estimate, None]:
         # What is younger than the latest measurement is only predicted: its age is below all of the channels.
-        moved = _correct(settings, advance(robot, aero, now, acting(age + 1, late), step), line, age)
+        moved = _correct(settings, advance(known, now, acting(age + 1, late), step), line, age)
         is_past = (before.ticks > 0) & (age < whole + jnp.minimum(longest, before.ticks))
         return where(is_past, moved, now), None
 
@@ -199,8 +212,13 @@ def update(
         # To when the torques of this tick begin to act.
         sent = acting(0, (1.0, 1.0))
         part = given_at(1)._replace(torque=sent.torque, thrust_rate=sent.thrust_rate)
-        now = where(before.ticks > 0, advance(robot, aero, now, part, torque_lag * step), now)
-    return EstimatorState(line, before.orders, then, before.ticks + 1), now.reading
+        now = where(before.ticks > 0, advance(known, now, part, torque_lag * step), now)
+    reached, rate = now.reading.thrust, now.thrust_rate
+    if rate is not None:
+        for age in range(int(thrust_lag), 0, -1):
+            commanded = given_at(age).thrust_rate
+            reached, rate = predict_thrust(reached, rate, commanded, step, known.robot.jets.thrust_min, known.engines)
+    return EstimatorState(line, before.orders, then, before.ticks + 1), now.reading, rate
 
 
 def command(state: EstimatorState, order: Order) -> EstimatorState:
@@ -211,26 +229,21 @@ def command(state: EstimatorState, order: Order) -> EstimatorState:
 
 
 def replace_command(
-    state: EstimatorState, torque: Float[Array, " n"], thrust_rate: Float[Array, " j"]
+    state: EstimatorState, more_torque: Float[Array, " n"], thrust_rate: Float[Array, " j"]
 ) -> EstimatorState:
-    """Return the state with the last command replaced [N m, N/s]."""
+    """Return the state with other thrust rates in the last command [N/s], and so much more torque [N m]."""
     orders = state.orders
     return state._replace(
         orders=orders._replace(
-            torque=orders.torque.at[0].set(torque), thrust_rate=orders.thrust_rate.at[0].set(thrust_rate)
+            torque=orders.torque.at[0].add(more_torque), thrust_rate=orders.thrust_rate.at[0].set(thrust_rate)
         )
     )
 
 
-def advance(
-    robot: RobotModel,
-    aero: AeroModel,
-    estimate: Estimate,
-    order: Order,
-    step: Float[Array, ""],
-) -> Estimate:
+def advance(known: EstimatorModel, estimate: Estimate, order: Order, step: Float[Array, ""]) -> Estimate:
     """Integrate the model for `step` [s] under its inputs and unexplained joint accelerations, semi-implicitly."""
     (state, thrust), disturbance = estimate.reading, estimate.disturbance
+    robot, aero, engines = known
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
     link = link_forces(aero, robot, kin, LinkConventions(), order.wind)
@@ -246,8 +259,10 @@ def advance(
     linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
     whole = jnp.concatenate([linear, angular, disturbance])
     velocity = state.velocity + step * (forward_dynamics(dyn, force) + whole)
-    thrust = predict_thrust(thrust, order.thrust_rate, step, robot.jets.thrust_min)
-    return estimate._replace(reading=Reading(move(state, velocity, step), thrust))
+    present = jnp.zeros_like(thrust) if estimate.thrust_rate is None else estimate.thrust_rate
+    thrust, rate = predict_thrust(thrust, present, order.thrust_rate, step, robot.jets.thrust_min, engines)
+    reading = Reading(move(state, velocity, step), thrust)
+    return estimate._replace(reading=reading, thrust_rate=None if engines is None else rate)
 
 
 def _correct(settings: Estimator, estimate: Estimate, line: Reading, age: Array) -> Estimate:
@@ -285,6 +300,7 @@ def _correct(settings: Estimator, estimate: Estimate, line: Reading, age: Array)
     )
     return Estimate(
         Reading(state, jnp.maximum(correct_channel(6, thrust, line.thrust[places[6]]), 0.0)),
+        estimate.thrust_rate,
         estimate.disturbance + of_acceleration / step**2 * innovation,
         estimate.gyro_bias - settings.of_bias / step * turn,
     )

@@ -2,7 +2,7 @@
 
 ```text
 s̈* = −K_D (ṡ − ṡ*) − K_P ∫(ṡ − ṡ*)
-s̈(τ) = G τ + s̈_free,   G = (M⁻¹)_ss,   s̈_free = [M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)]_s
+s̈(τ) = G τ + s̈_free,   G = (M⁻¹)_ss,   s̈_free = [M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h − S F)]_s
 min ½ w_a |s̈(τ) − s̈*|² + ½ (w_τ + ε) |τ|²   subject to |τ| ≤ τ_max
 ```
 

@@ -1,6 +1,8 @@
 """From commanded joint velocities to torques, by the torque QP and a rate limiter.
 
-This file has the integral of M68 of `docs/model`.
+Compensated friction is `F = f tanh(ṡ* / v)`: of the commanded velocity, since that of a joint that sticks has no sign.
+
+This file has the integral of M68 and the friction of M69 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -24,6 +26,10 @@ INTEGRAL_LIMIT = 20.0
 """Saturation of the published integrator of the joint velocity error [rad]; no flight comes near it."""
 
 
+SLIP = 0.02
+"""Commanded velocity at which three quarters of the friction are compensated [rad/s]."""
+
+
 class Torque(NamedTuple):
     """Output of the torque law."""
 
@@ -35,6 +41,8 @@ class Torque(NamedTuple):
     """Torques before the rate limiter [N m]."""
     joint_torque: Float[Array, " n"]
     """Torques after the rate limiter [N m]."""
+    friction: Float[Array, " n"] | None
+    """Friction with which the drives oppose the commanded velocities [N m]; `None` if it is not compensated."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +50,8 @@ class Torques:
     """The torque law of one controller."""
 
     params: TorqueParams
+    friction: Float[Array, " n"] | None
+    """Dry friction of the drives [N m]; `None` if it is not compensated."""
     torque_max: Float[Array, " n"]
     """Greatest joint torques [N m]."""
     torque_rate_max: Float[Array, " n"]
@@ -54,6 +64,10 @@ class Torques:
     ) -> tuple[ControllerState, Torque]:
         """Compute torques with which the joints follow the commanded velocities."""
         gain, free = model.inverse_mass.joint_gain, model.free_acceleration[6:]
+        friction = None
+        if self.friction is not None:
+            friction = self.friction * jnp.tanh(rates.joint_velocity / SLIP)
+            free = free - gain @ friction
         velocity_error, integral = state.velocity[6:] - rates.joint_velocity, memory.velocity_error_integral
         following = torque_qp(self.params, self.torque_max, gain, free, velocity_error, integral)
         answer = qp.solve(following.problem, memory.torque_start)
@@ -72,4 +86,4 @@ class Torques:
             torque_is_known=memory.torque_is_known | is_solved,
             torque_start=answer.warm_start,
         )
-        return memory, Torque(following, answer, is_solved, answer.x, joint_torque)
+        return memory, Torque(following, answer, is_solved, answer.x, joint_torque, friction)

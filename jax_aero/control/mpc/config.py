@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import config
-from jax_aero.body.jets import Engines, engines
 from jax_aero.body.robot import RobotModel
 from jax_aero.config import Air
 from jax_aero.control.mpc.clearance import Clearance, clearance_params
@@ -89,13 +88,9 @@ class Mpc:
     """Weight of a thrust beyond its range [1/N²]."""
     clearance: Clearance
     weights: MpcWeights
-    engines: Engines | None
-    """Engines that follow the thrust rates; `None` if thrusts do so themselves."""
 
 
-def mpc_params(
-    settings: config.MpcConfig, robot: RobotModel, time_step: float, jet_dynamics: config.JetDynamics
-) -> Mpc:
+def mpc_params(settings: config.MpcConfig, robot: RobotModel, time_step: float) -> Mpc:
     """Return the parameters of the law for a robot and ticks of `time_step` [s]."""
     numbers = dict(robot.joint_groups)
     blocks = np.repeat(np.arange(len(settings.joint_knots)), settings.joint_knots)
@@ -113,7 +108,6 @@ def mpc_params(
         thrust_excess=leaf(settings.thrust_excess),
         clearance=clearance_params(settings.clearance, robot),
         weights=_weights(settings.weights, robot, structure.joints),
-        engines=engines(robot, robot.jets.engines) if jet_dynamics == "throttled" else None,
     )
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from jax_aero.body.jets import acceleration_range, acceleration_slopes
+from jax_aero.body.jets import Engines, acceleration_range, acceleration_slopes
 from jax_aero.body.linalg import dot
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import skew
@@ -152,6 +152,7 @@ class _Places:
 
 def horizon(
     mpc: Mpc,
+    engines: Engines | None,
     gains: tuple[Float[Array, ""], Float[Array, ""]],
     robot: RobotModel,
     linear: Linearised,
@@ -163,16 +164,16 @@ def horizon(
 ) -> Horizon:
     """Build the QP for the gains `K_D` [1/s] and `K_P` [1/s²] of the torque law.
 
-    `posture` are the wanted positions of the joints [rad],
-    `wrenches` the changes of the air's wrench with the wind at the ends of the knots [N, N m].
+    `engines` follow the thrust rates; without any thrusts do so themselves. `posture` are the wanted positions of the
+    joints [rad], `wrenches` the changes of the air's wrench with the wind at the ends of the knots [N, N m].
     """
     structure, weights, moved = mpc.structure, mpc.weights, np.array(mpc.structure.joints, dtype=int)
-    places = _Places(now.thrust.shape[0], moved.size, has_engines=mpc.engines is not None)
+    places = _Places(now.thrust.shape[0], moved.size, has_engines=engines is not None)
     of, sigma_now = places.of, now.state.velocity[6 + moved]
-    slopes = None if mpc.engines is None else acceleration_slopes(mpc.engines, now.thrust)
+    slopes = None if engines is None else acceleration_slopes(engines, now.thrust)
     dynamics = _dynamics(places, robot.mass, linear, now, model, gains, sigma_now, slopes)
     start = jnp.zeros(places.states, sigma_now.dtype).at[of["sigma"]].set(sigma_now)
-    if mpc.engines is not None and now.thrust_rate is not None:
+    if engines is not None and now.thrust_rate is not None:
         start = start.at[of["speed"]].set(now.thrust_rate)
     z = _propagate(structure, places, dynamics, start, wrenches)
 
@@ -208,19 +209,21 @@ def horizon(
         least=at_knots(*least),
         greatest=at_knots(*greatest),
         weight=at_knots(*excess),
-        engines=_engine_horizon(mpc, now.thrust, start[of["speed"]], z[:, of["t"], -1], z[:, of["speed"], -1]),
+        engines=_engine_horizon(engines, now.thrust, start[of["speed"]], z[:, of["t"], -1], z[:, of["speed"], -1]),
     )
 
 
-def _engine_horizon(mpc: Mpc, thrust: Array, rate: Array, change: Array, rates: Array) -> EngineHorizon | None:
+def _engine_horizon(
+    engines: Engines | None, thrust: Array, rate: Array, change: Array, rates: Array
+) -> EngineHorizon | None:
     """Return what the inputs may be, from changes and rates of the thrusts at the ends of the knots without inputs."""
-    if mpc.engines is None:
+    if engines is None:
         return None
     change = jnp.concatenate([jnp.zeros_like(change[:1]), change[:-1]])
     rates = jnp.concatenate([rate[None], rates[:-1]])
-    by_thrust, by_rate = acceleration_slopes(mpc.engines, thrust)
+    by_thrust, by_rate = acceleration_slopes(engines, thrust)
     free = by_thrust * change + by_rate * rates
-    least, greatest = acceleration_range(mpc.engines, thrust + change, rates)
+    least, greatest = acceleration_range(engines, thrust + change, rates)
     return EngineHorizon(by_rate, least - free, greatest - free)
 
 

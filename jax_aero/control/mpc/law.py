@@ -22,6 +22,7 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
+from jax_aero.body.jets import Engines
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import log_so3, rotate
 from jax_aero.control import qp
@@ -67,6 +68,8 @@ class PredictiveLaw:
     """The predictive law of one controller."""
 
     mpc: Mpc
+    engines: Engines | None
+    """Engines that follow the thrust rates; `None` if thrusts do so themselves."""
     momentum: MomentumLaw
     aero: AeroModel
     conventions: LinkConventions
@@ -116,7 +119,7 @@ class PredictiveLaw:
         structure = self.mpc.structure
         linear = linearise(robot, self.aero, structure.air, structure.joints, now.state, now.thrust, now.wind)
         target, wrenches = self._targets(memory, now, followed), self._wrenches(robot, now, model)
-        ahead = horizon(self.mpc, self.gains, robot, linear, now, model, memory.posture, target, wrenches)
+        ahead = horizon(self.mpc, self.engines, self.gains, robot, linear, now, model, memory.posture, target, wrenches)
         bounds = self._bounds(prepared.shaping.problem, ahead)
         search = _find_beyond(*jax.tree.map(lax.stop_gradient, (ahead, bounds, last)))
         # Differentiated once, with the values beyond their limits that have been found.
@@ -218,7 +221,7 @@ class PredictiveLaw:
         back = -POSTURE_GAIN * (now.state.joint_position - memory.posture)
         joint_velocity = back.at[moved].set(joints.reshape(-1, moved.size)[jnp.array(structure.blocks)[knot]])
         thrust_rate = thrusts.reshape(-1, jets)[knot]
-        if self.mpc.engines is not None:
+        if self.engines is not None:
             present = jnp.zeros_like(thrust_rate) if now.thrust_rate is None else now.thrust_rate
             thrust_rate = present + self.time_step * (thrust_rate + plan.damping * present)
         u = jnp.concatenate([thrust_rate, joint_velocity])
