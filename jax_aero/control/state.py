@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from jax_aero.control.estimate.disturbance_observer import ObserverState
 from jax_aero.control.estimate.estimator import EstimatorState
+from jax_aero.control.estimate.wind_observer import WindState
 from jax_aero.control.law.plan import Plan
 from jax_aero.control.law.setpoint import SetpointState
 from jax_aero.control.qp import WarmStart
@@ -55,6 +56,8 @@ class ControllerState(NamedTuple):
     """State of the estimator; `None` without one."""
     engines: EnginesState | None
     """Engines under the last command; `None` without engines, and with an estimator."""
+    wind: WindState | None
+    """Estimated wind of the next tick; `None` without an observer of the wind."""
     observer: ObserverState | None
     """Observed wrench and what the next tick is compared with; `None` without an observer."""
     plan: Plan | None

@@ -23,6 +23,8 @@ class Terms(NamedTuple):
 
     estimates: Measurement
     """Output of the estimators; without estimators the measurement."""
+    wind_std: Float[Array, "3"]
+    """Standard deviation of the wind in `estimates` [m/s]; zero without an observer of the wind."""
     kinematics: Kinematics
     dynamics: Dynamics
     inverse_mass: InverseMass

@@ -30,7 +30,7 @@ from jax_aero.body.spatial import multiply
 from jax_aero.config import RateFeedback, ScenarioConfig
 from jax_aero.control import qp
 from jax_aero.control.command import Command
-from jax_aero.control.estimate import disturbance_observer, estimator
+from jax_aero.control.estimate import disturbance_observer, estimator, wind_observer
 from jax_aero.control.estimate.disturbance_observer import ObserverGains
 from jax_aero.control.estimate.estimator import Estimator, EstimatorModel, Order
 from jax_aero.control.law import setpoint as generator
@@ -71,6 +71,8 @@ class Switches(NamedTuple):
     """Time until torques act [s]."""
     lead: int
     """Whole ticks of that."""
+    observes_wind: bool
+    """Whether the wind is estimated from the wrench in place of the measured one."""
 
 
 @pytree
@@ -159,7 +161,7 @@ def momentum_controller(
     """Return the controller of a robot as configured. Call it outside loops, since it computes interpolation tables.
 
     `robot` is the controller's model of the robot; `tasks` are user-defined objectives, added to the controller's own.
-    What watches for failures, and the observer of the wind, are left out; see `jax_aero.sim.prepare`.
+    What watches for failures is left out; see `jax_aero.sim.prepare`.
 
     Raises
     ------
@@ -178,6 +180,7 @@ def momentum_controller(
             symmetric_pairs=symmetric_pairs(controller, robot),
             latency=0.0 if estimates is None else estimates.latency.torque,
             lead=0 if estimates is None else estimator.latency_in_ticks(estimates.latency, float(time_step))[0],
+            observes_wind=controller.wind_observer,
         ),
         aero=weight_forces(aero, config.disturbances.aero_estimate, robot),
         engines=engines(robot, robot.jets.engines) if controller.jet_dynamics == "throttled" else None,
@@ -236,6 +239,7 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         engines=None
         if params.engines is None or params.estimator is not None
         else start_engines(jnp.zeros(jets, zeros.dtype)),
+        wind=wind_observer.start(zeros) if params.switches.observes_wind else None,
         observer=None if params.observer is None else disturbance_observer.start(zeros),
         plan=None if params.mpc is None else no_plan(params.mpc.structure.unknowns(jets), jets, zeros.dtype),
         residual=None if params.residual is None else disturbance_observer.start(zeros),
@@ -258,14 +262,17 @@ def tick(
     `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. A given `setpoint` replaces the mission. `preview` is what is
     known of the future.
 
-    The estimator, if configured, uses the measured state and thrusts. Every number of a measurement has to be finite.
+    The estimator, if configured, uses the measured state and thrusts; the observer of the wind, if configured, replaces
+    the measured wind by its estimate from the ticks before. Every number of a measurement has to be finite.
     """
     measurement = Measurement(time, state, thrust, wind, Preview() if preview is None else preview)
     with jax.default_matmul_precision("highest"):
         memory, estimates = _measure(params, robot, memory, measurement)
         memory, model = _observe(params, memory, params.model(robot, estimates))
+        wind_std = jnp.zeros_like(wind) if memory.wind is None else memory.wind.std
         memory, command, terms = decide(params, robot, memory, estimates, model, setpoint)
-        return _predict(memory, terms, command), command, terms
+        terms = terms._replace(wind_std=wind_std)
+        return _predict(params, robot, memory, terms, command), command, terms
 
 
 def decide(
@@ -292,7 +299,10 @@ def decide(
         torque_qp=torque.answer,
         degraded_modes=rates.modes | jnp.where(torque.is_solved, 0, MODES["torque_held"]),
     )
-    terms = Terms(estimates, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, torque.friction, added)
+    exact = jnp.zeros_like(estimates.wind)
+    terms = Terms(
+        estimates, exact, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, torque.friction, added
+    )
     return memory, command, terms
 
 
@@ -300,6 +310,8 @@ def _measure(
     params: MomentumController, robot: RobotModel, memory: ControllerState, measurement: Measurement
 ) -> tuple[ControllerState, Measurement]:
     """Replace what is measured by what is estimated of it."""
+    if memory.wind is not None:
+        measurement = measurement._replace(wind=memory.wind.wind)
     if params.estimator is not None and memory.estimator is not None:
         reading, known = (
             Reading(measurement.state, measurement.thrust),
@@ -326,9 +338,15 @@ def _observe(params: MomentumController, memory: ControllerState, model: Model) 
     return memory._replace(observer=observed), model
 
 
-def _predict(memory: ControllerState, terms: Terms, command: Command) -> ControllerState:
-    """Store what the next tick expects: what engines and the estimator's model do under the command."""
+def _predict(
+    params: MomentumController, robot: RobotModel, memory: ControllerState, terms: Terms, command: Command
+) -> ControllerState:
+    """Store what the next tick expects: the wind, and what engines and the estimator's model do under the command."""
     now = terms.estimates
+    if memory.wind is not None:
+        seen = terms.kinematics, terms.dynamics.momentum, terms.momentum.a_t, now.thrust
+        wind = wind_observer.update(robot, params.aero, params.time_step, memory.wind, *seen)
+        memory = memory._replace(wind=wind)
     if memory.engines is not None and now.thrust_rate is not None:
         has_command = jnp.ones_like(memory.engines.has_command)
         memory = memory._replace(engines=EnginesState(now.thrust, now.thrust_rate, command.thrust_rate, has_command))

@@ -39,7 +39,7 @@ def record(
     """
     robot, momentum, mass = state.robot, seen.dynamics.momentum, seen.dynamics.mass_matrix[0, 0]
     setpoint, terms = command.setpoint, command.terms
-    estimates = raw if terms is None else terms.estimates
+    estimates, wind_std = (raw, jnp.zeros_like(wind)) if terms is None else (terms.estimates, terms.wind_std)
     row = {
         "time": time,
         "base_position": robot.base_position,
@@ -61,7 +61,7 @@ def record(
         "measured_joint_velocity": estimates.state.velocity[6:],
         "measured_thrust": estimates.thrust,
         "measured_wind": estimates.wind,
-        "measured_wind_std": jnp.zeros_like(wind),
+        "measured_wind_std": wind_std,
         "raw_base_position": raw.state.base_position,
         "raw_base_rotation": raw.state.base_rotation,
         "raw_base_velocity": raw.state.velocity[:6],

@@ -127,6 +127,7 @@ def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
         ("robustness_axisymmetric_vs_sphere_cylinder", {"controller.aero": {"model": "off"}}),
         ("test2_without_lambda_a", {"controller.lever_arm": "unrotated"}),
         ("test2_without_torque_feedforward", {"controller.link_velocity": "shifted_twice"}),
+        ("test2", {"controller.torque.friction": {"torso": 1.5, "left_arm": 0.7, "right_leg": 2.0}}),
     ],
 )
 def test_switches(name, overrides, agree):
@@ -142,7 +143,7 @@ def test_switches(name, overrides, agree):
     def evaluate(*sample):
         _, command, terms = twin.tick(*sample)
         ours = tick_quantities(command, terms)
-        return {name: ours[name] for name in enters}  # the QPs drop out of what is compiled
+        return {name: ours[name] for name in enters}  # without friction the QPs drop out of what is compiled
 
     samples = random_samples(twin.robot, 8, seed=8)
     ours = jax.device_get(evaluate(*stack_samples(samples)))

@@ -69,7 +69,6 @@ def test_jax_flies_as_the_guarded_crate(name, fly_both):
 
 REFUSED = {
     "disturbances.outages": [{"channel": "wind", "start": 1.0, "kind": "missing"}],
-    "controller.wind_observer": True,
     "disturbances.joints": [{"joint": "l_elbow", "kind": "stuck", "start": 1.0}],
     "disturbances.jets.failure": {"jet": "l_arm_jet", "time": 1.0, "kind": "off"},
     "disturbances.jets.thrust_limit_scale": 0.7,
