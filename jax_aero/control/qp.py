@@ -295,10 +295,22 @@ def _pass(qp: BoxQp, search: _Search) -> _Search:
     bounds, is followed to the breakpoint with the lowest objective, and the variables that have met their bounds are
     held. The objective decreases from one such minimiser to the next, so no working set recurs.
     """
-    y, side = search.y, search.side
     gradient, step, meets, fits, whole, released = _take_step(qp, search)
 
-    # Breakpoints of the projected step, one per variable, up to the whole step.
+    def end() -> tuple[Array, Array]:
+        return whole, jnp.where(released, 0, search.side).astype(jnp.int8)
+
+    y, side = lax.cond(fits, end, lambda: _bend(qp, search, gradient, step, meets))
+    finished = fits & ~jnp.any(released)
+    status = jnp.where(finished, SOLVED, ITERATION_LIMIT)
+    status = jnp.where(jnp.all(jnp.isfinite(step)), status, NOT_POSITIVE_DEFINITE)
+    return _Search(y, side, status.astype(jnp.int32), search.iterations + 1)
+
+
+def _bend(qp: BoxQp, search: _Search, gradient: Array, step: Array, meets: Array) -> tuple[Array, Array]:
+    """Return point and working set at the breakpoint of the projected step with the lowest objective."""
+    y, side = search.y, search.side
+    # Breakpoints, one per variable, up to the whole step.
     t = jnp.minimum(meets, 1.0)
     offsets = jax.vmap(lambda share: jnp.clip(y + share * step, qp.lower, qp.upper) - y)(t)
     objective = dot(offsets, gradient) + 0.5 * jnp.sum(dot(offsets, qp.h) * offsets, axis=1)
@@ -308,16 +320,7 @@ def _pass(qp: BoxQp, search: _Search) -> _Search:
     met = (step != 0) & (meets <= t_corner)
     bent = jnp.where(met, jnp.where(step > 0, qp.upper, qp.lower), y + t_corner * step)
     bent_side = jnp.where(met, jnp.sign(step).astype(jnp.int8), side)
-
-    finished = fits & ~jnp.any(released)
-    status = jnp.where(finished, SOLVED, ITERATION_LIMIT)
-    status = jnp.where(jnp.all(jnp.isfinite(step)), status, NOT_POSITIVE_DEFINITE)
-    return _Search(
-        y=jnp.where(fits, whole, jnp.clip(bent, qp.lower, qp.upper)),
-        side=jnp.where(fits, jnp.where(released, 0, side).astype(jnp.int8), bent_side),
-        status=status.astype(jnp.int32),
-        iterations=search.iterations + 1,
-    )
+    return jnp.clip(bent, qp.lower, qp.upper), bent_side
 
 
 def _max_abs(x: Array) -> Array:

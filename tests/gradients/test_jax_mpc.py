@@ -54,7 +54,7 @@ def test_gradient_of_a_plan(check_gradient):
     def plan(at, beyond):
         changed = weighted(mpc, at["weights"])
         wrenches = jnp.zeros((len(mpc.structure.durations), 6))
-        ahead = horizon(changed, gains, robot, at["linear"], now, model, state.joint_position, target, wrenches)
+        ahead = horizon(changed, None, gains, robot, at["linear"], now, model, state.joint_position, target, wrenches)
         u = qp.solve(ahead.problem(beyond, jnp.full(ahead.g.shape, -40.0), jnp.full(ahead.g.shape, 40.0))).x
         return {"u": u, "values": ahead.free + ahead.by_inputs @ u}
 

@@ -58,7 +58,7 @@ def test_linearised_dynamics_and_qp(agree):
         model = params.model(robot, now)
         linear = linearise(robot, params.aero, mpc.structure.air, mpc.structure.joints, state, thrust, wind)
         target = Target(*jnp.moveaxis(targets, 1, 0))
-        ahead = horizon(mpc, gains, robot, linear, now, model, posture, target, wrenches)
+        ahead = horizon(mpc, params.engines, gains, robot, linear, now, model, posture, target, wrenches)
         found = distances(robot, mpc.clearance, mpc.structure.joints, state.joint_position)
         return linear._asdict() | {"h": ahead.h, "g": ahead.g} | dict(zip(DISTANCES, found, strict=True))
 

@@ -11,13 +11,14 @@ T̈ = α δT + β Ṫ + u_T     engines about the steady thrust T, at the thrott
 ```
 
 `z = (y, d, u, w, 1)` has one constant matrix over a knot, in which `u` and `w` do not change: a Taylor series for the
-shortest knot, and squares of it. Everything at the ends of the knots is then affine in the unknowns; H and g collect
-the squares of the outputs' errors. Equations M120 to M126 and M174 of `docs/model`.
+shortest knot, and squares of it. A thrust or joint is a chain of states that its own input drives alone. Everything at
+the ends of the knots is then affine in the unknowns; H and g collect the squares of the outputs' errors. Equations M120
+to M126 and M174 of `docs/model`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -80,6 +81,12 @@ class Horizon(NamedTuple):
     g: Float[Array, " u"]
     by_inputs: Float[Array, "m u"]
     """Limited values by the inputs."""
+    by_rates: Float[Array, "K j i"]
+    """Thrusts by their own inputs."""
+    by_commands: Float[Array, "K f i"]
+    """Joint positions by their own inputs."""
+    by_joints: Float[Array, "p f"]
+    """Distances by the joint positions [m/rad]."""
     free: Float[Array, " m"]
     """Limited values without inputs [N, rad, m]."""
     least: Float[Array, " m"]
@@ -97,9 +104,17 @@ class Horizon(NamedTuple):
     def problem(self, beyond: Int[Array, " m"], lower: Float[Array, " u"], upper: Float[Array, " u"]) -> BoxQp:
         """Return the QP that contains the cost of these values beyond their limits."""
         over = self.free - jnp.where(beyond > 0, self.greatest, self.least)
-        weighted = jnp.where(beyond == 0, 0.0, self.weight)[:, None] * self.by_inputs
-        h = dot(self.by_inputs.T, weighted)
-        return BoxQp(self.h + 0.5 * (h + h.T), self.g + dot(jnp.where(beyond == 0, 0.0, over), weighted), lower, upper)
+        weight = jnp.where(beyond == 0, 0.0, self.weight)
+        g = self.g + dot(jnp.where(beyond == 0, 0.0, weight * over), self.by_inputs)
+        # A thrust depends on its own inputs alone; distances on positions of joints, which do.
+        (knots, jets, _), free = self.by_rates.shape, self.by_commands.shape[1]
+        thrusts, joints, apart = jnp.split(weight.reshape(knots, -1), [jets, jets + free], axis=1)
+        of_thrusts = jnp.einsum("kj,kja,kjb->abj", thrusts, self.by_rates, self.by_rates)
+        of_joints = jnp.einsum("kp,pf,pg->kfg", apart, self.by_joints, self.by_joints)
+        of_joints = of_joints + joints[:, :, None] * jnp.eye(free, dtype=joints.dtype)
+        h = jnp.einsum("kfa,kfg,kgb->afbg", self.by_commands, of_joints, self.by_commands)
+        h = add_blocks(self.h, of_thrusts, h.reshape(h.shape[0] * free, -1))
+        return BoxQp(0.5 * (h + h.T), g, lower, upper)
 
     def least_on_way(self, start: Float[Array, " u"], end: Float[Array, " u"]) -> Float[Array, ""]:
         """Return the share of the way between two inputs at which the cost with all excesses is least.
@@ -125,17 +140,39 @@ class Horizon(NamedTuple):
         return jnp.where(derivative(ends[1]) <= 0.0, 1.0, lax.fori_loop(0, BISECTIONS, halve, ends)[1])
 
 
+def add_blocks(h: Array, of_jets: Array, of_joints: Array) -> Array:
+    """Add what depends on the own inputs of each jet (a, b, j), and on those of joints (a f, b g), to H (u, u)."""
+    inputs, _, jets = of_jets.shape
+    eye = jnp.eye(jets, dtype=h.dtype)
+    block = (jnp.swapaxes(of_jets, 1, 2)[..., None] * eye[None, :, None]).reshape(inputs, jets, inputs, jets)
+    first = inputs * jets
+    return h.at[:first, :first].add(block.reshape(first, first)).at[first:, first:].add(of_joints)
+
+
+class _Chains(NamedTuple):
+    """Chains of states of one kind: one input drives each."""
+
+    rates: Float[Array, "c d g"]
+    """Derivatives of the states of every chain by its states, and by its input last: `d = c + 1`."""
+    now: Float[Array, "c g"]
+    """Present states."""
+    acts: np.ndarray
+    """Which of the chain's inputs acts in which knot (K, i)."""
+
+
 class _Places:
-    """Where the parts of `z` stand."""
+    """Where the parts of `z` stand: the motion, then the states and inputs of chains, then what is not chosen."""
 
     def __init__(self, jets: int, free: int, *, has_engines: bool) -> None:
-        sizes = {"p": 3, "v": 3, "theta": 3, "k": 3, "t": jets, "speed": jets * has_engines}
-        sizes |= {"s": free, "sigma": free, "e": free}
-        sizes |= {"rate": jets, "command": free, "wrench": 6, "one": 1}
+        sizes = {"p": 3, "v": 3, "theta": 3, "k": 3, "t": jets, "speed": jets * has_engines, "rate": jets}
+        sizes |= {"s": free, "sigma": free, "e": free, "command": free, "wrench": 6, "one": 1}
         ends = np.cumsum(list(sizes.values())).tolist()
         self.of = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
         self.core = self.of["k"].stop
-        self.states = self.of["e"].stop
+        self.jets, self.joints = (
+            slice(self.core, self.of["rate"].stop),
+            slice(self.of["s"].start, self.of["command"].stop),
+        )
         self.size = self.of["one"].stop
 
     def rows(self, dtype: np.dtype[np.generic], **parts: Array) -> Array:
@@ -148,6 +185,22 @@ class _Places:
             ],
             axis=1,
         )
+
+    def through(self, rows: Array, jets: Array, joints: Array) -> Array:
+        """Return what rows over `z` become through states of chains, which change by (c, d, g) each."""
+        parts = []
+        for place, by in ((self.jets, jets), (self.joints, joints)):
+            of_states = rows[:, place].reshape(rows.shape[0], *by.shape[1:])[:, : by.shape[0]]
+            parts.append(jnp.einsum("ycg,cdg->ydg", of_states, by).reshape(rows.shape[0], -1))
+        zero = jnp.zeros_like(rows)
+        return zero.at[:, self.jets].set(parts[0]).at[:, self.joints].set(parts[1])
+
+    def inputs(self, rows: Array) -> Array:
+        """Return rows over `z` without motion and states of chains."""
+        kept = np.zeros(self.size)
+        for name in ("rate", "command", "wrench", "one"):
+            kept[self.of[name]] = 1.0
+        return rows * jnp.asarray(kept, rows.dtype)
 
 
 def horizon(
@@ -170,27 +223,39 @@ def horizon(
     structure, weights, moved = mpc.structure, mpc.weights, np.array(mpc.structure.joints, dtype=int)
     places = _Places(now.thrust.shape[0], moved.size, has_engines=engines is not None)
     of, sigma_now = places.of, now.state.velocity[6 + moved]
-    slopes = None if engines is None else acceleration_slopes(engines, now.thrust)
-    dynamics = _dynamics(places, robot.mass, linear, now, model, gains, sigma_now, slopes)
-    start = jnp.zeros(places.states, sigma_now.dtype).at[of["sigma"]].set(sigma_now)
-    if engines is not None and now.thrust_rate is not None:
-        start = start.at[of["speed"]].set(now.thrust_rate)
-    z = _propagate(structure, places, dynamics, start, wrenches)
+    core = _core(places, robot.mass, linear, now, model, sigma_now)
+    jets, joints = _jets(structure, engines, now), _joints(structure, gains, sigma_now)
+    steps = _steps(structure, places, core, jets.rates, joints.rates)
+    rates, commands = (_propagate_chains(chains, each) for chains, each in ((jets, steps.jets), (joints, steps.joints)))
+    z = _propagate(places, steps.core, rates, commands, wrenches)
 
     position = now.state.joint_position[moved]
     com, velocity = model.kinematics.com, model.dynamics.momentum[:3] / robot.mass
     motion = target._replace(position=target.position - com[None], velocity=target.velocity - velocity[None])
-    errors = dot(_outputs(places, dynamics, linear, now), z.at[:, of["wrench"], -1].set(wrenches))
+    turning = dot(_turning(places, core, joints.rates, linear, now), z.at[:, of["wrench"], -1].set(wrenches))
+    errors = jnp.concatenate([z[:, : of["theta"].stop], turning], axis=1)
     errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
-    s = z[:, of["s"]]
-    away = s.at[:, :, -1].add(position - posture[moved])
-    driven = [z[:, of[name]] for name in ("sigma", "speed", "rate", "command")]
-    by_knot = jnp.concatenate([errors, away, *driven], axis=1)
-    squares = np.array(structure.durations)[:, None] * _squares(weights, places)[None]
-    rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), _tail(mpc, errors[-1])])
-    cost = dot(rows.T, jnp.concatenate([squares.reshape(-1), jnp.repeat(weights.tail, 3)])[:, None] * rows)
+    durations = jnp.asarray(np.array(structure.durations), errors.dtype)
+    of_errors = _error_weights(weights)
+    rows = jnp.concatenate([errors.reshape(-1, errors.shape[-1]), _tail(mpc, errors[-1])])
+    squares = jnp.concatenate([(durations[:, None] * of_errors).reshape(-1), jnp.repeat(weights.tail, 3)])
+    cost = dot(rows.T, squares[:, None] * rows)
+    # What one chain drives alone is no dense row.
+    driven, away = rates.after[:, 1:], commands.after.at[:, 0, :, -1].add(position - posture[moved])
+    of_input = weights.thrust_rate * (1.0 if engines is None else INPUT_TIME**2)
+    of_rates = jnp.stack([weights.thrust_rate, of_input][-driven.shape[1] :])
+    of_jets = jnp.einsum("k,r,krja,krjb->abj", durations, of_rates, driven, driven)
+    of_commands = jnp.stack([weights.joint_velocity, jnp.zeros_like(of_input), weights.joint_command])
+    of_joints = jnp.einsum("k,r,krfa,krfb->abf", durations, of_commands, away[:, 1:], away[:, 1:])
+    of_joints = of_joints + jnp.einsum("k,f,kfa,kfb->abf", durations, weights.posture, away[:, 0], away[:, 0])
+    eye = jnp.eye(moved.size, dtype=of_joints.dtype)
+    own = jnp.swapaxes(of_joints[:-1, :-1], 1, 2)[..., None] * eye[None, :, None]
+    size = own.shape[0] * moved.size
+    h = add_blocks(cost[:-1, :-1], of_jets[:-1, :-1], own.reshape(size, size))
+    g = cost[:-1, -1] + jnp.concatenate([of_jets[:-1, -1].reshape(-1), of_joints[:-1, -1].reshape(-1)])
 
     distance, by_joint = distances(robot, mpc.clearance, structure.joints, now.state.joint_position)
+    s = z[:, of["s"]]
     limited = jnp.concatenate([z[:, of["t"]], s, dot(by_joint, s)], axis=1)
 
     def at_knots(thrusts: Array, joints: Array, distances: Array) -> Array:
@@ -202,25 +267,25 @@ def horizon(
     factors: tuple[Array | float, ...] = mpc.thrust_excess, JOINT_EXCESS, CLEARANCE_WEIGHT
     excess = (jnp.full_like(value, weight) for value, weight in zip(values, factors, strict=True))
     return Horizon(
-        h=0.5 * (cost + cost.T)[:-1, :-1],
-        g=cost[:-1, -1],
+        h=0.5 * (h + h.T),
+        g=g,
         by_inputs=limited[:, :, :-1].reshape(-1, limited.shape[-1] - 1),
+        by_rates=rates.after[:, 0, :, :-1],
+        by_commands=commands.after[:, 0, :, :-1],
+        by_joints=by_joint,
         free=limited[:, :, -1].reshape(-1) + at_knots(*values),
         least=at_knots(*least),
         greatest=at_knots(*greatest),
         weight=at_knots(*excess),
-        engines=_engine_horizon(engines, now.thrust, start[of["speed"]], z[:, of["t"], -1], z[:, of["speed"], -1]),
+        engines=_engine_horizon(engines, now.thrust, rates.before[..., -1]),
     )
 
 
-def _engine_horizon(
-    engines: Engines | None, thrust: Array, rate: Array, change: Array, rates: Array
-) -> EngineHorizon | None:
-    """Return what the inputs may be, from changes and rates of the thrusts at the ends of the knots without inputs."""
+def _engine_horizon(engines: Engines | None, thrust: Array, states: Array) -> EngineHorizon | None:
+    """Return what the inputs may be, from changes and rates of the thrusts before the knots without inputs."""
     if engines is None:
         return None
-    change = jnp.concatenate([jnp.zeros_like(change[:1]), change[:-1]])
-    rates = jnp.concatenate([rate[None], rates[:-1]])
+    change, rates = states[:, 0], states[:, 1]
     by_thrust, by_rate = acceleration_slopes(engines, thrust)
     free = by_thrust * change + by_rate * rates
     least, greatest = acceleration_range(engines, thrust + change, rates)
@@ -239,17 +304,10 @@ def _tail(mpc: Mpc, errors: Array) -> Array:
     return jnp.concatenate([a, alpha]) + decaying
 
 
-def _dynamics(
-    places: _Places,
-    mass: float | Array,
-    linear: Linearised,
-    now: Measurement,
-    model: Model,
-    gains: tuple[Array, Array],
-    sigma_now: Array,
-    slopes: tuple[Array, Array] | None,
+def _core(
+    places: _Places, mass: float | Array, linear: Linearised, now: Measurement, model: Model, sigma_now: Array
 ) -> Array:
-    """Return the matrix (N, N) with which `z` changes."""
+    """Return the rows with which `z` changes the motion (12, N)."""
     dtype, omega = now.state.velocity.dtype, now.state.velocity[3:6]
     by = {"v": linear.rate_v, "theta": linear.rate_theta, "k": linear.rate_k, "t": linear.rate_t}
     by |= {"s": linear.rate_s, "sigma": linear.rate_sigma, "one": model.momentum.rate_estimate[:, None]}
@@ -272,97 +330,162 @@ def _dynamics(
         ]
     )
     # `d` holds velocities, of which the present ones are part of the present rates.
-    core = core.at[:, -1].add(-core[:, places.of["sigma"]] @ sigma_now)
-    jets, joints = jnp.eye(now.thrust.shape[0], dtype=dtype), jnp.eye(sigma_now.shape[0], dtype=dtype)
-    kd, kp = gains
-    thrusts = [places.rows(dtype, rate=jets)]
-    if slopes is not None:
-        by_thrust, by_rate = slopes
-        thrusts = [
-            places.rows(dtype, speed=jets),
-            places.rows(dtype, t=by_thrust * jets, speed=by_rate * jets, rate=jets),
-        ]
-    return jnp.concatenate(
+    return core.at[:, -1].add(-core[:, places.of["sigma"]] @ sigma_now)
+
+
+def _jets(structure: Structure, engines: Engines | None, now: Measurement) -> _Chains:
+    """Return the chains of the thrusts: an input in every knot."""
+    acts, zero = np.eye(len(structure.durations)), jnp.zeros_like(now.thrust)
+    one = jnp.ones_like(zero)
+    if engines is None:
+        return _Chains(jnp.stack([jnp.stack([zero, one])]), zero[None], acts)
+    by_thrust, by_rate = acceleration_slopes(engines, now.thrust)
+    rates = jnp.stack([jnp.stack([zero, one, zero]), jnp.stack([by_thrust, by_rate, one])])
+    return _Chains(rates, jnp.stack([zero, zero if now.thrust_rate is None else now.thrust_rate]), acts)
+
+
+def _joints(structure: Structure, gains: tuple[Array, Array], sigma_now: Array) -> _Chains:
+    """Return the chains of the joints: an input in every block."""
+    kd, kp = (jnp.asarray(gain) for gain in gains)
+    zero, one = jnp.zeros_like(kd), jnp.ones_like(kd)
+    rates = jnp.stack(
         [
-            core,
-            *thrusts,
-            places.rows(dtype, sigma=joints),
-            places.rows(dtype, sigma=-kd * joints, e=-kp * joints, command=kd * joints),
-            places.rows(dtype, sigma=joints, command=-joints),
-            jnp.zeros((places.size - places.states, places.size), dtype),
+            jnp.stack([zero, one, zero, zero]),
+            jnp.stack([zero, -kd, -kp, kd]),
+            jnp.stack([zero, one, zero, -one]),
         ]
+    )
+    rest = jnp.zeros_like(sigma_now)
+    acts = np.eye(structure.blocks[-1] + 1)[np.array(structure.blocks)]
+    return _Chains(
+        jnp.broadcast_to(rates[..., None], (*rates.shape, sigma_now.size)), jnp.stack([rest, sigma_now, rest]), acts
     )
 
 
-def _outputs(places: _Places, dynamics: Array, linear: Linearised, now: Measurement) -> Array:
-    """Return p, v, θ, ω, a and α by `z` (18, N): `α = ω_θ θ̇ + ω_k k̇ + ω_s ṡ + ω_ṡ s̈`."""
-    of, values = places.of, jnp.eye(places.size, dtype=dynamics.dtype)
+def _turning(places: _Places, core: Array, joints: Array, linear: Linearised, now: Measurement) -> Array:
+    """Return ω, a and α by `z` (9, N): `α = ω_θ θ̇ + ω_k k̇ + ω_s ṡ + ω_ṡ s̈`."""
+    of = places.of
     # ω itself has no half of S(ω), which belongs to θ̇.
-    omega = dynamics[of["theta"]].at[:, of["theta"]].add(-0.5 * skew(now.state.velocity[3:6]))
-    turn = [linear.omega_theta, linear.omega_k, linear.omega_s, linear.omega_sigma]
-    rates = [dynamics[of[name]] for name in ("theta", "k", "s", "sigma")]
-    alpha = dot(jnp.concatenate(turn, axis=1), jnp.concatenate(rates))
-    return jnp.concatenate([values[of["p"]], values[of["v"]], values[of["theta"]], omega, dynamics[of["v"]], alpha])
+    omega = core[of["theta"]].at[:, of["theta"]].add(-0.5 * skew(now.state.velocity[3:6]))
+    alpha = dot(linear.omega_theta, core[of["theta"]]) + dot(linear.omega_k, core[of["k"]])
+    names = ("s", "sigma", "e", "command")
+    of_joints = {
+        name: linear.omega_s * joints[0, place][None] + linear.omega_sigma * joints[1, place][None]
+        for place, name in enumerate(names)
+    }
+    return jnp.concatenate([omega, core[of["v"]], alpha + places.rows(core.dtype, **of_joints)])
 
 
-def _propagate(structure: Structure, places: _Places, dynamics: Array, start: Array, wrenches: Array) -> Array:
-    """Return `z` at the ends of the knots (K, N, u + 1), by every unknown and without any; `start` is (y, d) now."""
+class _Steps(NamedTuple):
+    """Transitions over every knot, by the values before it and the inputs in it."""
+
+    core: Float[Array, "K 12 N"]
+    jets: Float[Array, "K c d j"]
+    joints: Float[Array, "K 3 4 f"]
+
+
+def _steps(structure: Structure, places: _Places, core: Array, jets: Array, joints: Array) -> _Steps:
+    """Return the transitions: the exponential of the matrix by a Taylor series for the shortest knot, then squares.
+
+    Rows of the motion, of chains, and of inputs, which do not change, are kept apart.
+    """
+
+    def along(x: Array, by: Array) -> Array:
+        """Return the product of the matrices of chains (c, d, g)."""
+        return jnp.einsum("abg,bcg->acg", x[:, : by.shape[0]], by)
+
+    def times(x: tuple[Array, ...], by: tuple[Array, ...]) -> tuple[Array, ...]:
+        of_core = dot(x[0][:, : places.core], by[0]) + places.through(x[0], by[1], by[2])
+        return of_core, along(x[1], by[1]), along(x[2], by[2])
+
+    def one(like: Array) -> Array:
+        eye = jnp.eye(like.shape[0], like.shape[1], dtype=like.dtype)
+        return jnp.broadcast_to(eye if like.ndim == 2 else eye[..., None], like.shape)
+
+    shortest = structure.durations[0]
+    rates = tuple(shortest * each for each in (core, jets, joints))
+    start = tuple(one(each) for each in rates)
+
+    def add(sums: tuple[Any, Any], order: Array) -> tuple[tuple[Any, Any], None]:
+        total, power = sums
+        power = tuple(each / order for each in times(power, rates))
+        return (tuple(a + b for a, b in zip(total, power, strict=True)), power), None
+
+    first = lax.scan(add, (start, start), jnp.arange(1, TERMS + 1, dtype=core.dtype))[0][0]
+    steps = [first]
+    for _ in range(max(structure.doublings)):
+        half = steps[-1]
+        whole = times(half, half)
+        kept = places.inputs(half[0]), *(each.at[:, :-1].set(0.0) for each in half[1:])
+        steps.append(tuple(a + b for a, b in zip(whole, kept, strict=True)))
+    chosen = np.array(structure.doublings)
+    return _Steps(*(jnp.stack(each)[chosen] for each in zip(*steps, strict=True)))
+
+
+class _Driven(NamedTuple):
+    """States of chains, and their input, by their own inputs and without any: (K, c + 1, g, i + 1)."""
+
+    before: Array
+    """Before every knot."""
+    after: Array
+    """After it."""
+
+
+def _propagate_chains(chains: _Chains, steps: Array) -> _Driven:
+    """Return the states of chains along the knots."""
+    knots, inputs = chains.acts.shape
+    count, size = chains.now.shape
+    acts = jnp.broadcast_to(
+        jnp.asarray(np.pad(chains.acts, ((0, 0), (0, 1))), steps.dtype)[:, None, None], (knots, 1, size, inputs + 1)
+    )
+    start = jnp.zeros((count, size, inputs + 1), steps.dtype).at[..., -1].set(chains.now)
+
+    def advance(states: Array, knot: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+        step, act = knot
+        driven = jnp.concatenate([states, act])
+        after = jnp.einsum("cdg,dgi->cgi", step, driven)
+        return after, (driven, jnp.concatenate([after, act]))
+
+    return _Driven(*lax.scan(advance, start, (steps, acts))[1])
+
+
+def _propagate(places: _Places, steps: Array, rates: _Driven, commands: _Driven, wrenches: Array) -> Array:
+    """Return `z` at the ends of the knots (K, N, u + 1), by every unknown and without any; the motion is zero now."""
     # Within a knot the mean of both ends: it needs no wind but that of the ends, where ω, a and α do.
     means = 0.5 * (wrenches + jnp.concatenate([jnp.zeros_like(wrenches[:1]), wrenches[:-1]]))
-    inputs, first = jnp.asarray(_inputs(structure, places), dynamics.dtype), places.of["wrench"].start - places.states
-    inputs = inputs.at[:, first : first + 6, -1].set(means)
-    steps = [_exponential(dynamics * structure.durations[0])]
-    for _ in range(max(structure.doublings)):
-        steps.append(dot(steps[-1], steps[-1]))
-    states = jnp.zeros((places.states, inputs.shape[-1]), dynamics.dtype).at[:, -1].set(start)
+    before, after = (_spread(*each, means) for each in zip(rates, commands, strict=True))
+    added = dot(steps[:, :, places.core :], before)
 
-    def advance(states: Array, knot: tuple[Array, Array]) -> tuple[Array, Array]:
-        step, inputs = knot
-        z = jnp.concatenate([states, inputs])
-        states = dot(step[: places.states], z)
-        return states, jnp.concatenate([states, inputs])
+    def advance(motion: Array, knot: tuple[Array, Array]) -> tuple[Array, Array]:
+        step, more = knot
+        motion = dot(step[:, : places.core], motion) + more
+        return motion, motion
 
-    z: Array = lax.scan(advance, states, (jnp.stack(steps)[np.array(structure.doublings)], inputs))[1]
-    return z
+    motion = lax.scan(advance, jnp.zeros_like(added[0]), (steps, added))[1]
+    return jnp.concatenate([motion, after], axis=1)
 
 
-def _inputs(structure: Structure, places: _Places) -> np.ndarray:
-    """Return which unknown acts in which knot (K, inputs to one, u + 1): thrust rates by knot, joints by block."""
-    jets, free = (places.of[name].stop - places.of[name].start for name in ("rate", "command"))
-    knots, unknowns = len(structure.durations), structure.unknowns(jets)
-    inputs = np.zeros((knots, places.size - places.states, unknowns + 1))
-    for knot, block in enumerate(structure.blocks):
-        inputs[knot, np.arange(jets), knot * jets + np.arange(jets)] = 1.0
-        inputs[knot, jets + np.arange(free), jets * knots + block * free + np.arange(free)] = 1.0
-    inputs[:, -1, -1] = 1.0
-    return inputs
+def _spread(jets: Array, joints: Array, wrenches: Array) -> Array:
+    """Return chains and what is not chosen as rows by all unknowns, of thrusts first: (K, N − 12, u + 1)."""
+    knots = jets.shape[0]
+
+    def by_all(chains: Array) -> tuple[Array, Array]:
+        _, states, size, inputs = chains.shape
+        eye = jnp.eye(size, dtype=chains.dtype)
+        own = chains[..., :-1, None] * eye[None, None, :, None]
+        return own.reshape(knots, states * size, (inputs - 1) * size), chains[..., -1].reshape(knots, -1, 1)
+
+    (by_jets, of_jets), (by_joints, of_joints) = by_all(jets), by_all(joints)
+    one = jnp.ones((knots, 1, 1), wrenches.dtype)
+    free = jnp.concatenate([of_jets, of_joints, wrenches[..., None], one], axis=1)
+    rows = jnp.zeros((knots, free.shape[1], by_jets.shape[2] + by_joints.shape[2]), free.dtype)
+    rows = rows.at[:, : by_jets.shape[1], : by_jets.shape[2]].set(by_jets)
+    rows = rows.at[:, by_jets.shape[1] : -7, by_jets.shape[2] :].set(by_joints)
+    return jnp.concatenate([rows, free], axis=2)
 
 
-def _exponential(matrix: Array) -> Array:
-    """Return the exponential of a small matrix by its Taylor series."""
-    one = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
-
-    def add(sums: tuple[Array, Array], order: Array) -> tuple[tuple[Array, Array], None]:
-        total, power = sums
-        power = dot(power, matrix) / order
-        return (total + power, power), None
-
-    return lax.scan(add, (one, one), jnp.arange(1, TERMS + 1, dtype=matrix.dtype))[0][0]
-
-
-def _squares(weights: MpcWeights, places: _Places) -> Array:
-    """Return the weights of a knot's errors: outputs, joints, their velocities, inputs."""
-    jets, speeds, free = (places.of[name].stop - places.of[name].start for name in ("rate", "speed", "command"))
-    of_input = weights.thrust_rate * (INPUT_TIME**2 if speeds else 1.0)
-    counts = (
-        *((weights.angular_velocity, 3), (weights.acceleration, 3), (weights.angular_acceleration, 3)),
-        *(
-            (weights.joint_velocity, free),
-            (weights.thrust_rate, speeds),
-            (of_input, jets),
-            (weights.joint_command, free),
-        ),
-    )
-    omega, a, alpha, *driven = (jnp.repeat(x, count) for x, count in counts)
-    outputs = [weights.position, weights.velocity, weights.attitude, omega, a, alpha]
-    return jnp.concatenate([*outputs, weights.posture, *driven])
+def _error_weights(weights: MpcWeights) -> Array:
+    """Return the weights of a knot's errors (18,): p, v, θ, ω, a and α."""
+    turning = (weights.angular_velocity, weights.acceleration, weights.angular_acceleration)
+    spread = (jnp.broadcast_to(jnp.asarray(each), (3,)) for each in turning)
+    return jnp.concatenate([weights.position, weights.velocity, weights.attitude, *spread])
