@@ -92,7 +92,6 @@ REFUSALS = (
         lambda config: config.controller.fault_detection.joints is not None and config.disturbances.joints,
         "none with `controller.fault_detection.joints`",
     ),
-    Refusal("controller.axes_of", "an axis of several links", lambda c: c.controller.axes_of, is_of_law=True),
     Refusal("own_controller", "controllers of the crate", lambda c: (c.own_controller or {}).get("name")),
 )
 """All that is refused."""

@@ -26,6 +26,8 @@ class LinkConventions(NamedTuple):
     lever_arm: LeverArm = "rotated"
     jacobian_offset: JacobianOffset = "link_rotation"
     link_velocity: LinkVelocity = "at_centre"
+    axes_of: int | None = None
+    """Link with whose rotation the axes of all links turn, as published; `None` for each with its own."""
 
 
 def link_forces(
@@ -41,7 +43,8 @@ def link_forces(
         jacobian_points = origins + rotate(kin.body_rotations[:1], links.centres)
     shifted_twice = conventions.link_velocity == "shifted_twice"
     velocity_points = jacobian_points + links.centres if shifted_twice else centres
-    axes = rotate(rotations, links.axes)
+    turning = rotations if conventions.axes_of is None else rotations[conventions.axes_of][None]
+    axes = rotate(turning, links.axes)
     v_air = wind[None] - velocities_at(kin, links.bodies, velocity_points)
     forces = forces_of(model, LinksInAir(axes, v_air, wind, robot, kin))
     return LinkForces(axes, v_air, arm_points, jacobian_points, forces)

@@ -174,7 +174,12 @@ def momentum_controller(
     estimates = controller.estimator
     return MomentumController(
         switches=Switches(
-            LinkConventions(controller.lever_arm, controller.jacobian_offset, controller.link_velocity),
+            LinkConventions(
+                controller.lever_arm,
+                controller.jacobian_offset,
+                controller.link_velocity,
+                None if controller.axes_of is None else robot.aero_links.names.index(controller.axes_of),
+            ),
             lambda_a=feedback.lambda_,
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
