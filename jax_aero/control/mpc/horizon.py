@@ -152,6 +152,8 @@ def add_blocks(h: Array, of_jets: Array, of_joints: Array) -> Array:
 class _Chains(NamedTuple):
     """Chains of states of one kind: one input drives each."""
 
+    names: tuple[str, ...]
+    """Of the states, and of the input last."""
     rates: Float[Array, "c d g"]
     """Derivatives of the states of every chain by its states, and by its input last: `d = c + 1`."""
     now: Float[Array, "c g"]
@@ -188,12 +190,11 @@ class _Places:
 
     def through(self, rows: Array, jets: Array, joints: Array) -> Array:
         """Return what rows over `z` become through states of chains, which change by (c, d, g) each."""
-        parts = []
+        found = jnp.zeros_like(rows)
         for place, by in ((self.jets, jets), (self.joints, joints)):
-            of_states = rows[:, place].reshape(rows.shape[0], *by.shape[1:])[:, : by.shape[0]]
-            parts.append(jnp.einsum("ycg,cdg->ydg", of_states, by).reshape(rows.shape[0], -1))
-        zero = jnp.zeros_like(rows)
-        return zero.at[:, self.jets].set(parts[0]).at[:, self.joints].set(parts[1])
+            states = rows[:, place].reshape(rows.shape[0], *by.shape[1:])
+            found = found.at[:, place].set(_along(states, by).reshape(rows.shape[0], -1))
+        return found
 
     def inputs(self, rows: Array) -> Array:
         """Return rows over `z` without motion and states of chains."""
@@ -225,14 +226,14 @@ def horizon(
     of, sigma_now = places.of, now.state.velocity[6 + moved]
     core = _core(places, robot.mass, linear, now, model, sigma_now)
     jets, joints = _jets(structure, engines, now), _joints(structure, gains, sigma_now)
-    steps = _steps(structure, places, core, jets.rates, joints.rates)
+    steps = _steps(structure, places, core, jets, joints)
     rates, commands = (_propagate_chains(chains, each) for chains, each in ((jets, steps.jets), (joints, steps.joints)))
     z = _propagate(places, steps.core, rates, commands, wrenches)
 
     position = now.state.joint_position[moved]
     com, velocity = model.kinematics.com, model.dynamics.momentum[:3] / robot.mass
     motion = target._replace(position=target.position - com[None], velocity=target.velocity - velocity[None])
-    turning = dot(_turning(places, core, joints.rates, linear, now), z.at[:, of["wrench"], -1].set(wrenches))
+    turning = dot(_turning(places, core, joints, linear, now), z.at[:, of["wrench"], -1].set(wrenches))
     errors = jnp.concatenate([z[:, : of["theta"].stop], turning], axis=1)
     errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
     durations = jnp.asarray(np.array(structure.durations), errors.dtype)
@@ -338,10 +339,11 @@ def _jets(structure: Structure, engines: Engines | None, now: Measurement) -> _C
     acts, zero = np.eye(len(structure.durations)), jnp.zeros_like(now.thrust)
     one = jnp.ones_like(zero)
     if engines is None:
-        return _Chains(jnp.stack([jnp.stack([zero, one])]), zero[None], acts)
+        return _Chains(("t", "rate"), jnp.stack([jnp.stack([zero, one])]), zero[None], acts)
     by_thrust, by_rate = acceleration_slopes(engines, now.thrust)
     rates = jnp.stack([jnp.stack([zero, one, zero]), jnp.stack([by_thrust, by_rate, one])])
-    return _Chains(rates, jnp.stack([zero, zero if now.thrust_rate is None else now.thrust_rate]), acts)
+    begun = jnp.stack([zero, zero if now.thrust_rate is None else now.thrust_rate])
+    return _Chains(("t", "speed", "rate"), rates, begun, acts)
 
 
 def _joints(structure: Structure, gains: tuple[Array, Array], sigma_now: Array) -> _Chains:
@@ -357,21 +359,24 @@ def _joints(structure: Structure, gains: tuple[Array, Array], sigma_now: Array) 
     )
     rest = jnp.zeros_like(sigma_now)
     acts = np.eye(structure.blocks[-1] + 1)[np.array(structure.blocks)]
-    return _Chains(
-        jnp.broadcast_to(rates[..., None], (*rates.shape, sigma_now.size)), jnp.stack([rest, sigma_now, rest]), acts
-    )
+    of_each = jnp.broadcast_to(rates[..., None], (*rates.shape, sigma_now.size))
+    return _Chains(("s", "sigma", "e", "command"), of_each, jnp.stack([rest, sigma_now, rest]), acts)
 
 
-def _turning(places: _Places, core: Array, joints: Array, linear: Linearised, now: Measurement) -> Array:
+def _along(x: Array, by: Array) -> Array:
+    """Return the product of matrices of chains: (a, d, g), of which the last of d is the input, by (c, d, g)."""
+    return jnp.sum(x[:, : by.shape[0], None] * by[None], axis=1)
+
+
+def _turning(places: _Places, core: Array, joints: _Chains, linear: Linearised, now: Measurement) -> Array:
     """Return ω, a and α by `z` (9, N): `α = ω_θ θ̇ + ω_k k̇ + ω_s ṡ + ω_ṡ s̈`."""
     of = places.of
     # ω itself has no half of S(ω), which belongs to θ̇.
     omega = core[of["theta"]].at[:, of["theta"]].add(-0.5 * skew(now.state.velocity[3:6]))
     alpha = dot(linear.omega_theta, core[of["theta"]]) + dot(linear.omega_k, core[of["k"]])
-    names = ("s", "sigma", "e", "command")
     of_joints = {
-        name: linear.omega_s * joints[0, place][None] + linear.omega_sigma * joints[1, place][None]
-        for place, name in enumerate(names)
+        name: linear.omega_s * joints.rates[0, place][None] + linear.omega_sigma * joints.rates[1, place][None]
+        for place, name in enumerate(joints.names)
     }
     return jnp.concatenate([omega, core[of["v"]], alpha + places.rows(core.dtype, **of_joints)])
 
@@ -384,40 +389,38 @@ class _Steps(NamedTuple):
     joints: Float[Array, "K 3 4 f"]
 
 
-def _steps(structure: Structure, places: _Places, core: Array, jets: Array, joints: Array) -> _Steps:
+def _steps(structure: Structure, places: _Places, core: Array, jets: _Chains, joints: _Chains) -> _Steps:
     """Return the transitions: the exponential of the matrix by a Taylor series for the shortest knot, then squares.
 
     Rows of the motion, of chains, and of inputs, which do not change, are kept apart.
     """
-
-    def along(x: Array, by: Array) -> Array:
-        """Return the product of the matrices of chains (c, d, g)."""
-        return jnp.einsum("abg,bcg->acg", x[:, : by.shape[0]], by)
-
-    def times(x: tuple[Array, ...], by: tuple[Array, ...]) -> tuple[Array, ...]:
-        of_core = dot(x[0][:, : places.core], by[0]) + places.through(x[0], by[1], by[2])
-        return of_core, along(x[1], by[1]), along(x[2], by[2])
+    whole = [core]
+    for chains in (jets, joints):
+        eye = jnp.eye(chains.now.shape[1], dtype=core.dtype)
+        for rates in chains.rates:
+            parts = {name: rate[:, None] * eye for name, rate in zip(chains.names, rates, strict=True)}
+            whole.append(places.rows(core.dtype, **parts))
+        whole.append(jnp.zeros((eye.shape[0], places.size), core.dtype))
+    shortest, matrix = structure.durations[0], jnp.concatenate([*whole, jnp.zeros((7, places.size), core.dtype)])
 
     def one(like: Array) -> Array:
         eye = jnp.eye(like.shape[0], like.shape[1], dtype=like.dtype)
         return jnp.broadcast_to(eye if like.ndim == 2 else eye[..., None], like.shape)
 
-    shortest = structure.durations[0]
-    rates = tuple(shortest * each for each in (core, jets, joints))
-    start = tuple(one(each) for each in rates)
-
     def add(sums: tuple[Any, Any], order: Array) -> tuple[tuple[Any, Any], None]:
         total, power = sums
-        power = tuple(each / order for each in times(power, rates))
+        moved = dot(power[0], matrix), _along(power[1], jets.rates), _along(power[2], joints.rates)
+        power = tuple(each * (shortest / order) for each in moved)
         return (tuple(a + b for a, b in zip(total, power, strict=True)), power), None
 
-    first = lax.scan(add, (start, start), jnp.arange(1, TERMS + 1, dtype=core.dtype))[0][0]
+    start = one(core), one(jets.rates), one(joints.rates)
+    first: tuple[Array, ...] = lax.scan(add, (start, start), jnp.arange(1, TERMS + 1, dtype=core.dtype))[0][0]
     steps = [first]
     for _ in range(max(structure.doublings)):
-        half = steps[-1]
-        whole = times(half, half)
-        kept = places.inputs(half[0]), *(each.at[:, :-1].set(0.0) for each in half[1:])
-        steps.append(tuple(a + b for a, b in zip(whole, kept, strict=True)))
+        motion, *driven = half = steps[-1]
+        twice = dot(motion[:, : places.core], motion) + places.through(motion, *driven) + places.inputs(motion)
+        # A chain's input stays.
+        steps.append((twice, *(_along(each, each) + each.at[:, :-1].set(0.0) for each in half[1:])))
     chosen = np.array(structure.doublings)
     return _Steps(*(jnp.stack(each)[chosen] for each in zip(*steps, strict=True)))
 
@@ -443,7 +446,7 @@ def _propagate_chains(chains: _Chains, steps: Array) -> _Driven:
     def advance(states: Array, knot: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
         step, act = knot
         driven = jnp.concatenate([states, act])
-        after = jnp.einsum("cdg,dgi->cgi", step, driven)
+        after = jnp.sum(step[..., None] * driven[None], axis=1)
         return after, (driven, jnp.concatenate([after, act]))
 
     return _Driven(*lax.scan(advance, start, (steps, acts))[1])

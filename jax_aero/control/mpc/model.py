@@ -53,21 +53,24 @@ class Linearised(NamedTuple):
     """By their velocities."""
 
 
-class _Variables(NamedTuple):
-    """Variables in which momentum and momentum rate are explicit."""
+class _Pose(NamedTuple):
+    """Variables of the pose."""
 
     theta: Float[Array, "3"]
     """Rotation from the present attitude [rad]."""
     s: Float[Array, " f"]
     """Positions of the joints that the law moves [rad]."""
+
+
+class _Motion(NamedTuple):
+    """Variables of the velocities."""
+
     v_b: Float[Array, "3"]
     """Velocity of the base origin [m/s]."""
     omega: Float[Array, "3"]
     """Angular velocity of the base [rad/s]."""
     sigma: Float[Array, " f"]
     """Velocities of the joints that the law moves [rad/s]."""
-    t: Float[Array, " j"]
-    """Thrusts [N]."""
 
 
 def linearise(
@@ -87,39 +90,42 @@ def linearise(
     """
     moved = np.array(joints, dtype=int)
 
-    def response(at: _Variables) -> tuple[Array, Array, Array]:
-        rates = state.velocity[6:].at[moved].set(at.sigma)
+    def response(pose: _Pose, motion: _Motion) -> tuple[tuple[Array, Array, Array], Array]:
+        rates = state.velocity[6:].at[moved].set(motion.sigma)
         moving = State(
             base_position=state.base_position,
-            base_rotation=multiply(exp_so3(at.theta), state.base_rotation),
-            joint_position=state.joint_position.at[moved].set(at.s),
-            velocity=jnp.concatenate([at.v_b, at.omega, rates]),
+            base_rotation=multiply(exp_so3(pose.theta), state.base_rotation),
+            joint_position=state.joint_position.at[moved].set(pose.s),
+            velocity=jnp.concatenate([motion.v_b, motion.omega, rates]),
         )
         kin = kinematics(robot, moving)
-        rate = thrust_map(robot, kin)[2] @ at.t
+        by_thrust = thrust_map(robot, kin)[2]
+        rate = by_thrust @ thrust
         if air == "linear":
             rate = rate + wrench_about(link_forces(aero, robot, kin, LinkConventions(), wind), kin.com)
-        return rate, *momentum(robot, kin)
+        return (rate, *momentum(robot, kin)), by_thrust
 
-    v_b, omega = state.velocity[:3], state.velocity[3:6]
-    at = _Variables(jnp.zeros_like(omega), state.joint_position[moved], v_b, omega, state.velocity[6 + moved], thrust)
-    w, linear, angular = jax.jacfwd(response)(at)
-    omega_k = inverse(angular.omega)
-    omega_theta, omega_s, omega_sigma = (-omega_k @ by for by in (angular.theta, angular.s, angular.sigma))
+    at = _Pose(jnp.zeros(3, thrust.dtype), state.joint_position[moved])
+    going = _Motion(state.velocity[:3], state.velocity[3:6], state.velocity[6 + moved])
+    # The pose does not change with velocities, by which its derivatives are thus not computed.
+    (w, linear, angular), by_thrust = jax.jacfwd(lambda pose: response(pose, going), has_aux=True)(at)
+    (w_of, linear_of, angular_of), _ = jax.jacfwd(lambda motion: response(at, motion), has_aux=True)(going)
+    omega_k = inverse(angular_of.omega)
+    omega_theta, omega_s, omega_sigma = (-omega_k @ by for by in (angular.theta, angular.s, angular_of.sigma))
 
     def rate_by(of_rate: Array | float, of_momentum: Array | float, of_omega: Array) -> Array:
         """Return the change of w by a variable that changes w, l and ω by these."""
-        v_b: Array = -(of_momentum + linear.omega @ of_omega) / robot.mass
-        change: Array = of_rate + w.v_b @ v_b + w.omega @ of_omega
+        v_b: Array = -(of_momentum + linear_of.omega @ of_omega) / robot.mass
+        change: Array = of_rate + w_of.v_b @ v_b + w_of.omega @ of_omega
         return change
 
     return Linearised(
-        rate_v=w.v_b,
+        rate_v=w_of.v_b,
         rate_theta=rate_by(w.theta, linear.theta, omega_theta),
         rate_k=rate_by(0.0, 0.0, omega_k),
-        rate_t=w.t,
+        rate_t=by_thrust,
         rate_s=rate_by(w.s, linear.s, omega_s),
-        rate_sigma=rate_by(w.sigma, linear.sigma, omega_sigma),
+        rate_sigma=rate_by(w_of.sigma, linear_of.sigma, omega_sigma),
         omega_theta=omega_theta,
         omega_k=omega_k,
         omega_s=omega_s,
