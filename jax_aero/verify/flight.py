@@ -232,7 +232,7 @@ def replay_rounded(
     """Return signals of the crate's flight, every tick of it given what differs by a rounding.
 
     They are those of the controller, and the velocities to which its command leads. The torques of `twin` differ by the
-    tolerance of a solution, which their own row judges; the velocities inherit it.
+    tolerance of a solution, which their own row judges; the velocities inherit it, those of an estimator too.
     """
     rng, log = np.random.default_rng(0), crate.log
     rounded = {name: round_numbers(rng, signal) for name, signal in log.items() if name.startswith("raw_")}
@@ -242,7 +242,26 @@ def replay_rounded(
     ticks = min(len(torque), len(twin["joint_torque"]))
     torque[:ticks] += twin["joint_torque"][:ticks] - crate["joint_torque"][:ticks]
     after = _round_velocities(config, crate, torque)
+    if config["controller"].get("estimator"):
+        for name, estimate in _estimate_under(config, crate, twin).items():
+            signals[name][: len(estimate)] += estimate - crate[name][: len(estimate)]
     return {**signals, "base_velocity": after[:, :6], "joint_velocity": after[:, 6:]}
+
+
+def _estimate_under(
+    config: Mapping[str, Any], crate: FlightResult, twin: FlightResult
+) -> dict[str, NDArray[np.float64]]:
+    """Return the velocities that the crate estimates on its flight where the commands of `twin` act, (ticks, x)."""
+    controller, rows = rust.Controller(config), []
+    states, given = states_of(crate.log, "raw_"), (crate["raw_thrust"], crate["raw_wind"], crate["time"])
+    for tick, (rates, torque) in enumerate(zip(twin["thrust_rate"], twin["joint_torque"], strict=True)):
+        if tick == len(crate["time"]) or not np.isfinite([*rates, *torque]).all():
+            break
+        state = rust.State(*(np.asarray(part[tick]) for part in states))
+        rows.append(np.asarray(controller.tick(state, *(part[tick] for part in given)).estimates.state.velocity))
+        controller.replace_command(rates, torque)
+    velocity = np.stack(rows)
+    return {"measured_base_velocity": velocity[:, :6], "measured_joint_velocity": velocity[:, 6:]}
 
 
 def _round_velocities(
