@@ -6,6 +6,7 @@ use crate::common::{assert_within, experiment};
 use flight_core::control::Modes;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
 use flight_sim::jets::{JetsConfig, ThrottledConfig};
+use flight_sim::sensors::ThrustSensorConfig;
 use flight_sim::{FlightResult, LossReason, Outcome, Scenario, ScenarioConfig};
 use std::ops::ControlFlow;
 
@@ -274,4 +275,33 @@ fn an_arm_that_stops_at_once_is_found() {
         assert!(found.is_some_and(|time| time < 0.075), "{jet}: {found:?}");
         assert_eq!(flight.outcome, Outcome::Fell, "{jet}");
     }
+}
+
+/// Thrusts rounded to 1 N repeat bits in health, so that jets are suspects: what is looked for and not found changes no bit. The
+/// arm that stops with its sensor is found as early as one that is measured.
+#[test]
+fn an_engine_that_stops_with_its_sensor_is_found_and_a_healthy_flight_is_the_same() {
+    let fly = |looks: bool, stops: bool| {
+        let config = with(experiment("robot"), |config| {
+            config.simulator.duration = if stops { 1.2 } else { 0.6 };
+            config.simulator.sensors.thrust = ThrustSensorConfig { resolution: 1.0, ..Default::default() };
+            let jet = JETS[0].to_owned();
+            if stops {
+                let lost = outage(OutageChannel::Thrust, FOR_EVER, OutageKind::Missing);
+                config.disturbances.outages = vec![Outage { start: 1.0, jet: Some(jet.clone()), ..lost }];
+                config.disturbances.jets.failure =
+                    Some(JetFailure { jet, time: 1.0, kind: FailureKind::Off, decay: 0.0 });
+            }
+            if !looks {
+                config.controller.law.fault_detection.unmeasured_engines = None;
+            }
+        });
+        Scenario::new(&config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap()
+    };
+    let (with, without) = (fly(true, false), fly(false, false));
+    for name in ["com_position", "joint_torque", "thrust", "degraded_modes"] {
+        assert_eq!(with.log.series(name).unwrap().data, without.log.series(name).unwrap().data, "{name}");
+    }
+    assert_eq!(modes(&fly(true, true)) & Modes::ENGINE_STOPPED.bits(), Modes::ENGINE_STOPPED.bits());
+    assert_eq!(modes(&fly(false, true)) & Modes::ENGINE_LIMITED.bits(), 0);
 }

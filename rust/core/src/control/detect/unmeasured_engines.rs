@@ -114,8 +114,9 @@ impl Detector for UnmeasuredEngines {
     }
 
     fn measure(&self, state: &mut UnmeasuredState, measured: &Estimate) {
-        for (jet, innovation) in measured.thrust_innovation.iter().enumerate() {
-            state.take_in(jet, measured.robot.thrust[jet], *innovation);
+        let thrusts = measured.robot.thrust.iter().zip(&measured.thrust_innovation);
+        for (jet, (thrust, innovation)) in thrusts.enumerate().take(state.jets.len()) {
+            state.take_in(jet, *thrust, *innovation);
         }
     }
 
