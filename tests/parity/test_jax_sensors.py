@@ -27,7 +27,7 @@ SENSORS = {
         "velocity_time_constant": 0.02,
         "delay": 0.01,
     },
-    "thrust": {"bias": 0.2, "noise_std": 0.1, "delay": 0.02},
+    "thrust": {"bias": 0.2, "noise_std": 0.1, "resolution": 0.25, "delay": 0.02},
 }
 
 

@@ -71,7 +71,7 @@ fn bias_and_noise_are_what_they_say() {
         base_rotation: of(0.001),
         base_linear_velocity: of(0.04),
         base_angular_velocity: of(0.02),
-        thrust: ThrustSensorConfig { bias: 1.5, noise_std: 0.7, delay: 0.0 },
+        thrust: ThrustSensorConfig { bias: 1.5, noise_std: 0.7, ..ThrustSensorConfig::default() },
         seed: 4,
         ..SensorsConfig::default()
     };
@@ -173,15 +173,18 @@ fn the_measured_rotation_turns_the_gyroscopes() {
 }
 
 #[test]
-fn encoders_have_steps() {
+fn encoders_and_thrust_sensors_have_steps() {
     let config = SensorsConfig {
         joints: EncoderConfig { resolution: 0.25, ..EncoderConfig::default() },
+        thrust: ThrustSensorConfig { resolution: 0.5, ..ThrustSensorConfig::default() },
         ..SensorsConfig::default()
     };
-    let (mut state, thrust) = motion(1).remove(0);
+    let (mut state, mut thrust) = motion(1).remove(0);
+    thrust.copy_from_slice(&[0.74, 0.76, 8.25]);
     state.joint_position.copy_from_slice(&[0.37, 0.38, -0.125, 0.125, 1.0]);
     let said = read(&mut sensors(&config), &state, &thrust);
     assert_eq!(said.state.joint_position.as_slice(), [0.25, 0.5, -0.25, 0.25, 1.0]);
+    assert_eq!(said.thrust, [0.5, 1.0, 8.5]);
     assert_eq!(said.state.joint_velocity(), state.joint_velocity());
 }
 
