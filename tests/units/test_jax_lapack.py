@@ -51,7 +51,7 @@ def test_ours_goes_in_pieces():
 
 
 EVERYTHING = {
-    "second_order_jets": {"disturbances.jets.force_scale": {"l_arm_jet": 0.9}},
+    "second_order_jets": {"disturbances.jets.force_scale": {"l_arm_jet": 0.9}, "controller.axes_of": "chest"},
     "robot": {
         "controller.torque.friction": {"torso": 0.5},
         "controller.fault_detection.joints": False,
