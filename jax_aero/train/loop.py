@@ -37,7 +37,7 @@ class Settings(tables.Table, frozen=True):
     batch: tables.Natural = 0
     """Rows per step; 0 for all rows. Rows that do not fill a batch are left to other epochs, with other orders."""
     schedule: Literal["constant", "cosine"] = "constant"
-    """Whether the learning rate is constant, or falls to zero along half a cosine."""
+    """Whether the learning rate is constant, or falls along half a cosine that reaches zero after the last step."""
     warm_up: tables.Natural = 0
     """Steps over which the learning rate rises from zero."""
     beta2: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.999
@@ -247,12 +247,13 @@ def _epoch(
 
 
 def _rate(settings: Settings, count: Array, steps_per_epoch: int) -> Array:
-    done = (count + 1).astype(jnp.float32)
+    """Return the learning rate of a step, after `count` others."""
+    done = count.astype(jnp.float32)
     rate = jnp.float32(settings.learning_rate)
     if settings.schedule == "cosine":
         total = jnp.float32(steps_per_epoch * settings.epochs)
         rate = rate * 0.5 * (1.0 + jnp.cos(jnp.float32(np.pi) * done / total))
-    risen: Array = rate * jnp.minimum(1.0, done / max(settings.warm_up, 1))
+    risen: Array = rate * jnp.minimum(1.0, (done + 1.0) / max(settings.warm_up, 1))
     return risen
 
 
