@@ -177,8 +177,8 @@ def replace_values(tree: Tree, values: Mapping[str, Any]) -> Tree:
     Raises
     ------
     ValueError
-        If a name does not exist; if it or its value is not a number or array; if shape or type are wrong; or if other
-        leaves were computed from it, since those would not change. The message names it.
+        If a name does not exist or is not that of a leaf; if the value is not a number or array; if shape or type are
+        wrong; or if other leaves were computed from it, since those would not change. The message names it.
     """
     for name, value in values.items():
         tree = _replace_value(tree, name.split("."), name, value)
@@ -192,6 +192,8 @@ def _replace_value(node: Any, path: list[str], name: str, value: Any) -> Any:
         raise ValueError(f"`{first}` in `{name}` is unknown{did_you_mean(first, sorted(known))}")
     if first in (*COMPUTED_FROM, *getattr(node, "computed_from", ())):
         raise ValueError(f"`{name}` is what others were computed from; expected `prepare` with another configuration")
+    if is_dataclass(node) and any(item.name == first and item.metadata.get("static") for item in fields(node)):
+        raise ValueError(f"`{name}` is fixed at compilation; expected `prepare` with another configuration")
     before = getattr(node, first)
     after = _replace_value(before, rest, name, value) if rest else _convert_like(before, name, value)
     return cast(Any, replace if is_dataclass(node) else type(node)._replace)(node, **{first: after})

@@ -24,9 +24,9 @@ from jax_aero.base.terminal import Progress
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.config import ScenarioConfig
 from jax_aero.sim.outcome import FLYING
-from jax_aero.sim.plant import COMPILER_OPTIONS
+from jax_aero.sim.plant import CHUNK, COMPILER_OPTIONS
 from jax_aero.sim.preparation import prepare, read_config
-from jax_aero.sim.rollout import CHUNK, Ending, make_result
+from jax_aero.sim.rollout import Ending, make_result
 from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.step import FlightState, step
 from jax_aero.types import Array

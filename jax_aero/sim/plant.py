@@ -56,6 +56,10 @@ STOP_DAMPING = 200.0
 """Damping of both [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
 
 
+CHUNK = 250
+"""Ticks that a flight computes between checks for a loss and for Ctrl-C."""
+
+
 def options_of(version: tuple[int, ...]) -> dict[str, bool | int]:
     """Return `COMPILER_OPTIONS` for a version of JAX; from 0.11.1 on XLA has no other generator of code."""
     return {"xla_cpu_use_fusion_emitters": False} if version < (0, 11, 1) else {}
@@ -143,6 +147,11 @@ def n_ticks(config: ScenarioConfig) -> int:
     return int(np.floor(config.simulator.duration / config.controller.time_step + 0.5))
 
 
+def n_drawn(config: ScenarioConfig) -> int:
+    """Return the ticks after the first for which noise is drawn: whole chunks, so that durations share a program."""
+    return -(-(n_ticks(config) + 1) // CHUNK) * CHUNK - 1
+
+
 def start_plant(
     scenario: ScenarioConfig,
     robot: RobotModel,
@@ -161,7 +170,7 @@ def start_plant(
     jets = jet_dynamics(config.jets, robot) if jets is None else jets
     force_scale = None
     if disturbances.jets != JetFaultsConfig():
-        jets = faulty_jets(jets, disturbances.jets, config.jets, robot, n_ticks(scenario))
+        jets = faulty_jets(jets, disturbances.jets, config.jets, robot, n_drawn(scenario))
         force_scale = leaf([disturbances.jets.force_scale.get(name, 1.0) for name in robot.jets.names])
     plant = Plant(
         robot=robot,

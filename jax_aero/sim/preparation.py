@@ -85,7 +85,7 @@ def prepare(
         raise ValueError(f"`robot` is that of {robot.source}; expected that of the configuration, {config.robot}")
     refuse(config)
     plant, state = world.start_plant(config, robot, aero, jets, read_network)
-    model, ticks, step = controller_model(config, robot), world.n_ticks(config), config.controller.time_step
+    model, ticks, step = controller_model(config, robot), world.n_drawn(config), config.controller.time_step
     wind, way = wind_model(config.wind), config.simulator.actuation
     scenario = Scenario(
         plant=plant,
@@ -95,7 +95,7 @@ def prepare(
         controller_model=model,
         measuring=measuring(config, robot, wind, ticks),
         actuation=None if way is None else actuation(way, step, config.simulator.substeps, ticks),
-        n_ticks=jnp.asarray(np.int32(ticks)),
+        n_ticks=jnp.asarray(np.int32(world.n_ticks(config))),
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))

@@ -23,7 +23,7 @@ from jax_aero.base.result import FlightResult, Outcome
 from jax_aero.base.terminal import Progress
 from jax_aero.config import ScenarioConfig
 from jax_aero.sim.outcome import COURSE_ERROR, FLYING, NOT_FINITE, lost_reason
-from jax_aero.sim.plant import COMPILER_OPTIONS
+from jax_aero.sim.plant import CHUNK, COMPILER_OPTIONS
 from jax_aero.sim.preparation import prepare
 from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.signals import FlightRow, complete
@@ -34,9 +34,6 @@ Kept = TypeVar("Kept")
 
 CHECKPOINT_EVERY = 100
 """Ticks between the states that reverse mode stores; intermediate states are recomputed."""
-
-CHUNK = 250
-"""Ticks that `fly` computes between checks for a loss and for Ctrl-C."""
 
 
 def keep_row(row: FlightRow) -> FlightRow:
@@ -117,13 +114,12 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
     """Fly a scenario from its state at tick zero to its end or until the flight is lost, as `fly` does."""
     n_ticks = int(scenario.n_ticks)
     rows: list[FlightRow] = []
-    together = min(CHUNK, n_ticks + 1)
-    for first in range(0, n_ticks + 1, together):
+    for first in range(0, n_ticks + 1, CHUNK):
         # Chunks have equal length, so that they compile once; the last one flies beyond the end.
-        state, chunk = fly_chunk(scenario, state, jnp.array(first, jnp.int32), together)
+        state, chunk = fly_chunk(scenario, state, jnp.array(first, jnp.int32), CHUNK)
         rows.append(jax.device_get(chunk))
         if progress is not None:
-            progress(min(first + together, n_ticks), n_ticks)
+            progress(min(first + CHUNK, n_ticks), n_ticks)
         if int(state.loss) != FLYING:
             break
     log = {name: np.concatenate([chunk[name] for chunk in rows], dtype=np.float64) for name in rows[0]}

@@ -209,6 +209,24 @@ def test_double_precision_is_never_silently_missing():
         jax.eval_shape(lambda scenario, state: sim.rollout(scenario, state, 2, sim.keep_row), *double)
 
 
+@pytest.mark.parametrize(("name", "changes"), [("test2", {}), ("sensor_noise", {"simulator.actuation": {}})])
+def test_another_duration_compiles_nothing(name, changes, monkeypatch):
+    """Below 250 ticks the same arguments, also where noise is drawn."""
+    called = []
+
+    def compiled(scenario, state, first, n_ticks):
+        shapes = [(jnp.shape(leaf), jnp.result_type(leaf)) for leaf in jax.tree.leaves((scenario, state, first))]
+        called.append((jax.tree.structure((scenario, state)), shapes, n_ticks))
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(sim.run.__globals__, "fly_chunk", compiled)
+    for duration in (0.1, 0.37, 2.49):
+        flight = sim.prepare(rust.load_config(name, changes | {"simulator.duration": duration}), dtype=np.float32)
+        with pytest.raises(KeyboardInterrupt):
+            sim.run(*flight)
+    assert called[0] == called[1] == called[2]
+
+
 def test_a_robot_of_another_configuration_is_refused():
     with pytest.raises(ValueError, match=r"`robot` is that of .*sparrow\.toml; expected that .*mk1"):
         sim.prepare(rust.load_config("test2"), load_robot(find("robot", "sparrow")), dtype=np.float32)
@@ -236,6 +254,10 @@ def test_what_others_were_computed_from_does_not_change():
         ("wind.velocity", "fast", r"`wind\.velocity` is 'fast'; expected a number or an array"),
         ("wind.velocity", None, r"`wind\.velocity` is None; expected a number or an array"),
         ("wind.velocty", 1.0, "`velocty` in `wind.velocty` is unknown; did you mean velocity"),
+        ("plant.has_stops", False, "`plant.has_stops` is fixed at compilation; expected `prepare` with another"),
+        ("plant.substeps", 2, r"`plant\.substeps` is fixed at compilation"),
+        ("controller.switches.latency", 0.01, r"`controller\.switches\.latency` is fixed at compilation"),
+        ("precision", "float64", r"`precision` is fixed at compilation"),
         ("wind.velocity", [0.0, 1.0], r"`wind\.velocity` has shape \(2,\); expected \(3,\)"),
     ],
 )
