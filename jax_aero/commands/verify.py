@@ -6,6 +6,7 @@
     jax-aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
     jax-aero verify --config test4                     # the network, in double precision
     jax-aero verify --config robot                     # what the crate alone flies: its law
+    jax-aero verify --all --set simulator.duration=1   # every shipped flight, and what none of them executes
 
 Prints a table, writes it, and exits with status 1 if anything disagrees. States and ticks are compared
 relative to the largest entry of the crate's results, or with its rounding where terms cancel; the flight from its start
@@ -38,20 +39,38 @@ NUMBERS = "verify.json"
 def main(arguments: Sequence[str]) -> int:
     """Compare, print and write; return 0 if everything agrees, 1 if not, 2 for invalid arguments."""
     options = _parse(arguments)
-    return exit_status(lambda: _compare(options))
+    return exit_status(lambda: _compare_all(options) if options.all else _compare(options, set(), []))
 
 
-def _compare(options: argparse.Namespace) -> int:
+def _compare_all(options: argparse.Namespace) -> int:
+    """Compare every shipped flight; print what none of them executes."""
+    from jax_aero.verify.lines import unexecuted
+
+    lines: set[tuple[str, int]] = set()
+    sides: list[Any] = []
+    worst = 0
+    for name in places.names("experiments"):
+        print(f"\n{name}")
+        options.config, options.out = name, None
+        worst = max(worst, exit_status(lambda: _compare(options, lines, sides)))
+    print("\nnot executed by any:\n" + "\n".join(unexecuted(lines, sides)))
+    return worst
+
+
+def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides: list[Any]) -> int:
+    """Compare; add the lines of the model that ran, and the sides that its choices took."""
     import jax
 
     from jax_aero.refusals import refuse
     from jax_aero.sim.preparation import read_config
     from jax_aero.sim.programs import keep_programs
+    from jax_aero.verify.everything import verify_everything
     from jax_aero.verify.flight import verify_flight
     from jax_aero.verify.law import verify_law
     from jax_aero.verify.library import BUILD, find, verify_library, why_not
-    from jax_aero.verify.reach import unreached
-    from jax_aero.verify.ticks import verify_ticks
+    from jax_aero.verify.lines import Sides, merged, unexecuted, watch_lines
+    from jax_aero.verify.reach import Compared, unreached
+    from jax_aero.verify.ticks import verify_held, verify_ticks
 
     keep_programs()
     config = None if options.robot else use_double_precision(_config(options))
@@ -59,18 +78,21 @@ def _compare(options: argparse.Namespace) -> int:
         refuse(read_config(config))
     folder, facts = _subject(options, config)
     _check_replaceable(folder, facts, overwrite=options.overwrite)
-    robot, found = options.robot if config is None else config["robot"], {}
-    with jax.enable_x64(True):
+    robot, found, sides = options.robot if config is None else config["robot"], {}, list[Sides]()
+    with jax.enable_x64(True), watch_lines() as ran:
         rows = verify_robots(robot, options.states, options.dynamics, options.seed)
         if config is not None:
             if compared(config) == "tick":
                 samples = random_samples(config, options.states, options.seed)
-                rows += verify_ticks(config, samples)
+                rows += verify_ticks(config, samples, sides) + verify_held(config, samples, sides)
                 flight = verify_flight(config, options.dynamics)
-                rows += flight.rows
+                of_everything, everything = verify_everything()
+                rows += flight.rows + of_everything
+                sides += [section.sides for section in (*flight.sections, *everything.sections)]
+                flown = Compared(flight.scenario, samples, flight.sections)
                 found = {
                     "compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s",
-                    "not reached": unreached(flight.scenario, samples, flight.sections),
+                    "not reached": unreached(flown, [everything]),
                 }
             else:
                 of_law, share = verify_law(config)
@@ -79,6 +101,9 @@ def _compare(options: argparse.Namespace) -> int:
                     "compared": f"{share:.1%} of the ticks, the law alone",
                     "not reached": ["what no tick of this flight reaches, which is not examined"],
                 }
+            found["not executed"] = unexecuted(ran, sides)
+            lines |= ran
+            all_sides.append(merged(sides))
             library, reason = options.library or find(), why_not(config)
             if library is not None and reason is None:
                 rows += verify_library(config, library)
@@ -87,7 +112,7 @@ def _compare(options: argparse.Namespace) -> int:
     written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts, **found})
     bad = [row for row in rows if not row.agrees]
     but = f", not {', '.join(f'{row.group} {row.quantity}' for row in bad)}" if bad else ""
-    print("\n" + _lines(found))
+    print("\n" + _lines({name: len(value) if name == "not executed" else value for name, value in found.items()}))
     print(f"{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
     return 1 if bad else 0
 
@@ -123,6 +148,7 @@ def _parse(arguments: Sequence[str]) -> Any:
     what = parser.add_mutually_exclusive_group()
     chosen = what.add_argument("--config", default="test2", metavar="NAME", help="flight to compare: name or path")
     complete_with(chosen, lambda: places.names("experiments"))
+    what.add_argument("--all", action="store_true", help="every shipped flight, each with its own result")
     what.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
     parser.add_argument("--controller", metavar="NAME", help="another one, of configs/control, or its file")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")

@@ -37,6 +37,9 @@ SOLUTIONS = {
 }  # fmt: skip
 """Quantities that are solutions of a QP or follow from one."""
 
+OF_SOLVERS = ("plan_kept", "plan_missing", "momentum_held", "torque_held")
+"""Degraded modes that JAX has as well."""
+
 
 @dataclass(frozen=True)
 class Row:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -38,8 +37,10 @@ from jax_aero.sim.step import FlightState, step
 from jax_aero.types import Array, State, where
 from jax_aero.verify import (
     KERNEL_TOLERANCE,
+    OF_SOLVERS,
     QP_TOLERANCE,
     SOLUTIONS,
+    UNOPTIMISED,
     Row,
     compare,
     differences,
@@ -47,11 +48,12 @@ from jax_aero.verify import (
     round_rotation,
     round_state,
 )
+from jax_aero.verify.lines import Sides, count_sides
 
 FLIGHT_TOLERANCE = 1e-6
 """Greatest difference of two flights, in the unit of the signal."""
 
-OF_SOLVERS = sum(rust.MODES[name] for name in ("plan_kept", "plan_missing", "momentum_held", "torque_held"))
+BITS_OF_SOLVERS = sum(rust.MODES[name] for name in OF_SOLVERS)
 """Bits of the modes that JAX has as well."""
 
 NOT_COMPARED = ("qp_iterations", "qp_kkt", "measured_torque_latency", "measured_thrust_latency")
@@ -83,8 +85,11 @@ class Section(NamedTuple):
     """Number of the first tick."""
     given: Logged
     is_free: Any
+    once: bool
+    """Whether its program is compiled without optimisation, since it runs for moments."""
     after: FlightState
     rows: FlightRow
+    sides: Sides
 
 
 @dataclass(frozen=True)
@@ -167,7 +172,7 @@ def fly_astray(config: Mapping[str, Any]) -> Iterator[FlightResult]:
 
 
 def fly_sections(
-    scenario: Scenario, start: FlightState, crate: FlightResult, *, is_free: bool = False
+    scenario: Scenario, start: FlightState, crate: FlightResult, *, is_free: bool = False, once: bool = False
 ) -> Iterator[Section]:
     """Yield the ticks of a flight as JAX flies them, the last section with its last tick repeated."""
     log = crate.log
@@ -180,14 +185,16 @@ def fly_sections(
     for first in range(0, len(log["time"]), SECTION):
         place = np.minimum(np.arange(first, first + SECTION), len(log["time"]) - 1)
         section = jax.tree.map(lambda leaf, place=place: np.asarray(leaf)[place], given)
-        flown = fly_section(scenario, start, np.int32(first), section, np.asarray(is_free))
+        flown = fly_section(scenario, start, np.int32(first), section, np.asarray(is_free), once)
         start = flown.after
         yield flown
 
 
-def fly_section(scenario: Scenario, start: FlightState, first: Any, given: Logged, is_free: Any) -> Section:
+def fly_section(scenario: Scenario, start: FlightState, first: Any, given: Logged, is_free: Any, once: bool) -> Section:
     """Fly the ticks of a section."""
-    return Section(start, first, given, is_free, *jax.device_get(_fly(scenario, start, first, given, is_free)))
+    program = _fly_once if once else _fly
+    (after, rows), sides = jax.device_get(program(scenario, start, first, given, is_free))
+    return Section(start, first, given, is_free, once, after, rows, sides)
 
 
 def join(crate: FlightResult, sections: Sequence[Section]) -> FlightResult:
@@ -199,8 +206,7 @@ def join(crate: FlightResult, sections: Sequence[Section]) -> FlightResult:
     return make_result(signals, np.asarray(after.posture), ending, last)
 
 
-@partial(jax.jit, compiler_options=COMPILER_OPTIONS)
-def _fly(
+def _fly_ticks(
     scenario: Scenario, start: FlightState, first: Int[Array, ""], given: Logged, is_free: Bool[Array, ""]
 ) -> tuple[FlightState, FlightRow]:
     def fly_tick(state: FlightState, of_tick: tuple[Array, Logged]) -> tuple[FlightState, FlightRow]:
@@ -224,6 +230,10 @@ def _fly(
 
     ticks = first + jnp.arange(given.thrust.shape[0], dtype=jnp.int32)
     return jax.lax.scan(fly_tick, start, (ticks, given))
+
+
+_fly = jax.jit(count_sides(_fly_ticks), compiler_options=COMPILER_OPTIONS)
+_fly_once = jax.jit(count_sides(_fly_ticks), compiler_options=COMPILER_OPTIONS | UNOPTIMISED)
 
 
 def replay_rounded(
@@ -305,7 +315,7 @@ def compare_ticks(
 def ticks_unguarded(crate: FlightResult) -> int:
     """Return the number of ticks before the crate's fault detection acts."""
     modes = crate["degraded_modes"].astype(int)
-    return int(np.argmax([*(modes & ~OF_SOLVERS > 0), True]))
+    return int(np.argmax([*(modes & ~BITS_OF_SOLVERS > 0), True]))
 
 
 def compare_signals(

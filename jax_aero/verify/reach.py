@@ -1,13 +1,14 @@
 """What no comparison has reached: numbers of JAX's controller and plant whose change nothing that was compared shows.
 
 A wrong number of these agrees in everything. Each is changed alone, in the random ticks and in one section of the
-flights after the other, until something compared is different.
+flights after the other, until something compared is different. What a number of zero is multiplied with shows nothing,
+so only a comparison in which it is not zero reaches it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -19,7 +20,7 @@ from jax_aero.verify.flight import Section, fly_section
 from jax_aero.verify.ticks import twin_ticks
 
 CHANGE = 1.1
-"""Factor of a number, so that limits act later; of zeros alone one more than what they become."""
+"""Factor of a number, so that limits act later; one more than what a zero becomes. Integers change by one."""
 
 ASTRAY = 4
 """Number of the flights astray, whose sections come first; almost everything shows in them."""
@@ -27,38 +28,82 @@ ASTRAY = 4
 SEEN = 1e-6
 """Difference that counts, relative to the greatest entry: far more than any tolerance."""
 
+ROBOTS = ("plant.robot.", "controller_model.")
+
 COPIED = (
-    "n_ticks",
-    "plant.robot.aero_links.coefficients",
-    "plant.robot.aero_links.diameters",
-    "plant.robot.aero_links.lengths",
-    "plant.robot.engines",
-    "plant.robot.forward_axis",
-    "plant.robot.joint_limits",
-    "plant.robot.joint_torque_max",
-    "plant.robot.joint_torque_rate_max",
-    "plant.robot.joint_velocity_max",
+    "aero_links.coefficients",
+    "aero_links.diameters",
+    "aero_links.lengths",
+    "engines",
+    "forward_axis",
+    "joint_limits",
+    "joint_torque_max",
+    "joint_torque_rate_max",
+    "joint_velocity_max",
 )
-"""Beginnings of the names of what a flight does not read: numbers of which it has a copy, those of other choices."""
+"""Beginnings of the names of a robot's numbers that no flight reads: it has a copy, or they are of other choices."""
+
+BEGUN = ("n_ticks", "plant.jets.failure_time")
+"""Numbers that the first state of a flight has, or its end."""
 
 
-def unreached(scenario: Scenario, samples: Sequence[Sample], sections: Sequence[Section]) -> list[str]:
-    """Return the names of all numbers of a scenario that nothing has reached."""
+class Compared(NamedTuple):
+    """What was compared of one scenario: random ticks, and sections of flights, those astray first."""
+
+    scenario: Scenario
+    samples: Sequence[Sample]
+    sections: Sequence[Section]
+
+
+def unreached(flown: Compared, others: Sequence[Compared] = ()) -> list[str]:
+    """Return the names of all numbers of a scenario that nothing has reached, neither in `others` by the same name."""
     with jax.enable_x64(True):
-        expected = random_ticks(scenario, samples)
-        integral = np.abs(expected["velocity_error_integral"]).max(initial=0.0)
-        found = [] if integral >= INTEGRAL_LIMIT else ["limit of the integral"]
+        reaches = [_Reach(*some) for some in (flown, *others)]
+        found = [] if reaches[0].integral >= INTEGRAL_LIMIT else ["limit of the integral"]
+        # In the flight itself zeros beside other numbers have to show, too.
+        return found + [
+            name for name in reaches[0].names if not any(one.shows(name, zeros=one is reaches[0]) for one in reaches)
+        ]
 
+
+class _Reach:
+    """Which numbers one scenario's comparisons depend on."""
+
+    def __init__(self, scenario: Scenario, samples: Sequence[Sample], sections: Sequence[Section]) -> None:
+        self.scenario, self.samples, self.astray = scenario, samples, sections[:ASTRAY]
+        self.expected = random_ticks(scenario, samples) if samples else {}
+        self.integral = np.abs(self.expected.get("velocity_error_integral", 0.0)).max(initial=0.0)
         # Neighbours are alike, so by the golden ratio each section is far from those before it.
         flown = sections[ASTRAY:]
-        spread = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]
+        self.flown = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]
+        leaves, self.structure = jax.tree_util.tree_flatten_with_path(scenario)
+        self.values = [value for _, value in leaves]
+        names = [jax.tree_util.keystr(path).lstrip(".") for path, _ in leaves]
+        self.names = {name: place for place, name in enumerate(names) if not _is_copied(name)}
 
-        def shows(changed: Scenario) -> Iterator[bool]:
-            yield from (is_another(changed, section) for section in sections[:ASTRAY])
-            yield differ(random_ticks(changed, samples), expected)
-            yield from (is_another(changed, section) for section in spread)
+    def shows(self, name: str, *, zeros: bool) -> bool:
+        """Return whether a change of a number that is not zero shows, and of `zeros` beside it."""
+        if name not in self.names:
+            return False
+        of_numbers, of_zeros = changes(self.values[self.names[name]])
+        if np.size(self.values[self.names[name]]) == 0:
+            return True
+        changed = [of_numbers, of_zeros] if zeros and of_zeros is not None else [of_numbers]
+        return of_numbers is not None and all(self._shows(name, value) for value in changed)
 
-        return found + [name for name, changed in changes(scenario) if not any(shows(changed))]
+    def _shows(self, name: str, value: Any) -> bool:
+        values = list(self.values)
+        values[self.names[name]] = value
+        changed = jax.tree.unflatten(self.structure, values)
+        return (
+            any(is_another(changed, section) for section in self.astray)
+            or (bool(self.samples) and differ(random_ticks(changed, self.samples), self.expected))
+            or any(is_another(changed, section) for section in self.flown)
+        )
+
+
+def _is_copied(name: str) -> bool:
+    return name in BEGUN or any(name.removeprefix(robot).startswith(COPIED) for robot in ROBOTS if robot in name)
 
 
 def random_ticks(scenario: Scenario, samples: Sequence[Sample]) -> dict[str, Any]:
@@ -67,20 +112,25 @@ def random_ticks(scenario: Scenario, samples: Sequence[Sample]) -> dict[str, Any
     return twin_ticks(controller, scenario.model, samples)
 
 
-def changes(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
-    """Yield every number, or array of numbers, with a scenario in which it is another."""
-    leaves, structure = jax.tree_util.tree_flatten_with_path(scenario)
-    for place, (path, leaf) in enumerate(leaves):
-        name = jax.tree_util.keystr(path).lstrip(".")
-        if np.size(leaf) and not name.startswith(COPIED):
-            values = [value for _, value in leaves]
-            values[place] = CHANGE * np.asarray(leaf) if np.any(np.asarray(leaf)) else np.full_like(leaf, CHANGE - 1.0)
-            yield name, jax.tree.unflatten(structure, values)
+def changes(leaf: Any) -> tuple[Any | None, Any | None]:
+    """Return an array with other numbers in place of those that are not zero, and of zeros; `None` without such."""
+    leaf = np.asarray(leaf)
+    is_zero = leaf == 0
+    if leaf.dtype == bool:
+        other = ~leaf
+    elif np.issubdtype(leaf.dtype, np.integer):
+        other = leaf + np.where(leaf > 0, -1, 1)
+    else:
+        other = np.where(is_zero, CHANGE - 1.0, CHANGE * leaf)
+    parts = [
+        np.where(chosen, other, leaf).astype(leaf.dtype) if chosen.any() else None for chosen in (~is_zero, is_zero)
+    ]
+    return parts[0], parts[1]
 
 
 def is_another(changed: Scenario, section: Section) -> bool:
     """Return whether a section of a flight is another one in a changed scenario."""
-    again = fly_section(changed, *section[:4])
+    again = fly_section(changed, *section[:5])
     return int(again.after.loss) != int(section.after.loss) or differ(again.rows, section.rows)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from jax_aero import rust, verify
 from jax_aero.commands import verify as cli
-from jax_aero.verify import compare, flight, library, reach
+from jax_aero.verify import compare, everything, flight, library, lines, reach
 from jax_aero.verify import ticks as verify_ticks
 
 
@@ -168,7 +168,7 @@ def compared(monkeypatch):
         calls.append((path, states, backend, seed))
         return [compare("dynamics", "bias", [1.0 + 1e-11], [1.0], 1e-10)]
 
-    def ticks(config, samples):
+    def ticks(config, samples, sides):
         calls.append(samples)
         return [compare("random", "task", [1.0 + size["tick"] * 1e-10], [1.0], 1e-10)]
 
@@ -180,6 +180,9 @@ def compared(monkeypatch):
     monkeypatch.setattr(cli, "verify_robots", robots)
     monkeypatch.setattr(reach, "unreached", lambda *_: ["fall.com_error"])
     monkeypatch.setattr(verify_ticks, "verify_ticks", ticks)
+    monkeypatch.setattr(verify_ticks, "verify_held", lambda *_: [])
+    monkeypatch.setattr(everything, "verify_everything", lambda: ([], SimpleNamespace(sections=[])))
+    monkeypatch.setattr(lines, "unexecuted", lambda *_: ["control/qp.py: 8-9", "sim/wind.py:12: no"])
     monkeypatch.setattr(flight, "verify_flight", fly)
     monkeypatch.setattr(cli, "random_samples", lambda _, states, seed: ("random", states, seed))
     return calls, size
@@ -197,11 +200,13 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert row("flight", "wind", " 0.0e+00", " 0.0e+00", "1e-06 abs") in printed
     assert "compared: 99.8% of the ticks, the flight up to 12.34 s" in printed
     assert "not reached: fall.com_error" in printed
+    assert "not executed: 2" in printed
     assert "C library: not built: cargo build" in printed
     assert "3 of 3 quantities agree" in printed
     document = json.loads((tmp_path / "verify.json").read_text())
     assert [row["agrees"] for row in document["rows"]] == [True] * 3
     assert document["not reached"] == ["fall.com_error"]
+    assert document["not executed"] == ["control/qp.py: 8-9", "sim/wind.py:12: no"]
     assert document["config"] == rust.config_digest(rust.load_config("test1"))[:12]
     assert "config: " in (tmp_path / "verify.md").read_text()
 

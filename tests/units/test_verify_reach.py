@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,10 +13,11 @@ import pytest
 from jax_aero import rust
 from jax_aero.body import dynamics
 from jax_aero.control.law import torques
-from jax_aero.sim import prepare
+from jax_aero.control.law.torques import Torques
+from jax_aero.sim import outcome, prepare
 from jax_aero.sim.scenario import Scenario
-from jax_aero.verify import law, random_samples, reach, ticks, verify_robots
-from jax_aero.verify.flight import verify_astray
+from jax_aero.verify import everything, law, lines, random_samples, reach, ticks, verify_robots
+from jax_aero.verify.flight import compare_ticks, fly_sections, join, replay_rounded, verify_astray
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -77,12 +80,186 @@ def test_exchanged_gains_of_two_joints_are_refused():
     assert refused(replace(params, tasks=params.tasks._replace(posture_gain=gain)))
 
 
+@pytest.fixture(scope="module")
+def flown():
+    """The flight with everything, of the crate, with JAX's scenario and start."""
+    config = rust.load_config(everything.FILE)
+    crate = rust.fly(config)
+    with jax.enable_x64(True):
+        return config, crate, replay_rounded(config, crate, crate), *prepare(config)
+
+
+def refused_of(flown, twin: Scenario, start) -> list[str]:
+    _, crate, rounded, *_ = flown
+    ticks, rows = compare_ticks(crate, join(crate, list(fly_sections(twin, start, crate, once=True))), rounded, "all")
+    assert ticks == len(crate["time"]) > 50
+    return [row.quantity for row in rows if not row.agrees]
+
+
+def test_wrong_numbers_of_what_is_zero_in_most_flights_are_refused(flown):
+    """Sensors that drift or tremble, a share of a latency, couples of rotors, a jet that fades: each by 1 %."""
+    *_, scenario, start = flown
+    sensors, estimator = scenario.sensors, scenario.controller.estimator
+    robot, jets = scenario.plant.robot, scenario.plant.jets
+
+    def of_plant(**parts) -> Scenario:
+        return replace(scenario, plant=replace(scenario.plant, **parts))
+
+    def of_sensors(**parts) -> Scenario:
+        return replace(scenario, sensors=replace(sensors, **parts))
+
+    mixed = replace(estimator, lags=(1.01 * estimator.lags[0], estimator.lags[1]))
+    couples = replace(robot.jets, torque_to_thrust=1.01 * robot.jets.torque_to_thrust)
+    wrong = {
+        "drift": of_sensors(drift=1.01 * sensors.drift),
+        "amplitude of the tremble": of_sensors(tremble=sensors.tremble * jnp.array([1.01, 1.0])),
+        "frequency of the tremble": of_sensors(tremble=sensors.tremble * jnp.array([1.0, 1.01])),
+        "a latency's mix": replace(scenario, controller=replace(scenario.controller, estimator=mixed)),
+        "couples of rotors": of_plant(robot=replace(robot, jets=couples)),
+        "decay of a jet": of_plant(jets=replace(jets, decay=1.01 * jets.decay)),
+        "limit of a jet": of_plant(jets=replace(jets, upper=1.01 * jets.upper)),
+    }
+    assert refused_of(flown, scenario, start) == []
+    found = {name: refused_of(flown, twin, start) for name, twin in wrong.items()}
+    assert all(found.values()), found
+
+
+@pytest.mark.parametrize("criterion", outcome.LIMITS)
+def test_wrong_limits_of_what_is_possible_are_refused(criterion, flown, monkeypatch):
+    assert everything.verify_limits(flown[0]).agrees
+    monkeypatch.setitem(outcome.LIMITS, criterion, 1.01 * outcome.LIMITS[criterion])
+    assert not everything.verify_limits(flown[0]).agrees
+
+
+@pytest.mark.parametrize(("profile", "number"), [("gust", "gust"), ("gust", "duration"), ("turbulent", "std")])
+def test_wrong_winds_are_refused(profile, number, monkeypatch):
+    assert all(row.agrees for row in everything.verify_winds())
+    right = everything.wind_model
+
+    def wrong(settings):
+        wind = right(settings)
+        return replace(wind, **{number: 1.01 * getattr(wind, number)}) if hasattr(wind, number) else wind
+
+    monkeypatch.setattr(everything, "wind_model", wrong)
+    assert [row.quantity for row in everything.verify_winds() if not row.agrees] == [profile]
+
+
+def test_wrong_commands_where_a_qp_has_no_answer_are_refused(monkeypatch):
+    """The torques that are held, and an integral that goes on."""
+    config = rust.load_config("test2")
+    samples, right = random_samples(config, 50), Torques.solve
+
+    def refused() -> set[str]:
+        ticks._twin_ticks.clear_cache()
+        return {row.quantity for row in ticks.verify_held(config, samples) if not row.agrees}
+
+    assert refused() == set()
+
+    def spoil(change):
+        def solve(self, memory, *known):
+            after, torque = right(self, memory, *known)
+            return change(memory, after, torque)
+
+        monkeypatch.setattr(Torques, "solve", solve)
+
+    def weaken(_, after, torque):
+        held = jnp.where(torque.is_solved, 1.0, 0.99) * torque.joint_torque
+        return after._replace(joint_torque=held), torque._replace(joint_torque=held)
+
+    def integrate(before, after, torque):
+        same = jnp.all(after.velocity_error_integral == before.velocity_error_integral)
+        return after._replace(
+            velocity_error_integral=after.velocity_error_integral + jnp.where(same, 1e-3, 0.0)
+        ), torque
+
+    spoil(weaken)
+    assert "joint_torque" in refused()
+    spoil(integrate)
+    assert "velocity_error_integral" in refused()
+    ticks._twin_ticks.clear_cache()
+
+
+ELSEWHERE = {
+    "limit of the integral",
+    *("plant.robot.joint_stops", "plant.robot.jets.thrust_min", "plant.robot.jets.thrust_max", "controller.torque_max"),
+    *("controller_model.joint_stops", "controller_model.jets.thrust_min", "controller_model.jets.thrust_max"),
+    *("controller.tasks.thrust_steepness", "controller.observer.force_max", "controller.observer.moment_max"),
+    *("controller.setpoint.nose_down_limits", "fall.com_error", "plant.jets.jets.thrust_min"),
+    *("controller.setpoint.position_lags", "controller.mission.up", "controller.mission.down"),
+    *("plant.robot.aero_links.positions", "controller_model.aero_links.positions"),
+    *(
+        f"plant.jets.jets.engines.{name}"
+        for name in ("k_tt", "k_dd", "k_td", "b_t", "b_d", "b_uu", "c", "throttle_min")
+    ),
+}
+"""What half a second of a small robot does not reach: limits, slow set-points, zeros of its own file and engine."""
+
+
+def test_the_flight_with_everything_reaches_everything(flown):
+    """Errors, delays and failures above all: a change of each shows."""
+    _, crate, _, scenario, start = flown
+    sections = list(fly_sections(scenario, start, crate, once=True))
+    named = {*reach.unreached(reach.Compared(scenario, (), sections))}
+    assert named <= ELSEWHERE
+    assert not {name for name in named if name.startswith(("sensors", "actuation", "wind", "controller.estimator"))}
+
+
+def choose(x):
+    y = jnp.where(x > 0.0, x, -x)
+    return jnp.where(
+        x > 5.0,
+        y,
+        2.0 * y,
+    )
+
+
+def loop(x):
+    def body(k, x):
+        return jax.lax.cond(k > 2, lambda x: x - 1.0, lambda x: x, choose(x))
+
+    return jax.lax.fori_loop(0, 4, body, x)
+
+
+def test_choices_count_their_sides(monkeypatch):
+    """Within loops and branches, by the line of the model that has them."""
+    here = Path(__file__)
+    monkeypatch.setattr(lines, "FOLDERS", (f"{here.parent}/",))
+    monkeypatch.setattr(lines, "HOME", here.parent)
+    text = here.read_text(encoding="utf-8").splitlines()
+
+    def line(words: str) -> str:
+        return f"{here.name}:{next(place for place, found in enumerate(text, 1) if words in found)}"
+
+    with lines.watch_lines() as seen:
+        result, sides = jax.jit(lines.count_sides(loop))(jnp.array(1.0))
+    assert result == loop(jnp.array(1.0))
+    first, second, third = line("y = jnp.where("), line("    return jnp.where("), line("return jax.lax.cond(")
+    assert {*sides} == {first, second, third}
+    assert lines.untaken([sides]) == {first: "no"}
+    again = jax.jit(lines.count_sides(loop))(jnp.array(-1.0))[1]
+    assert lines.untaken([sides, again]) == {}
+    assert lines.untaken([jax.jit(lines.count_sides(choose))(jnp.array(1.0))[1]]) == {first: "no", second: "yes"}
+    assert (str(here), int(first.split(":")[1])) in seen
+    assert lines.shown([1, 2, 3, 7, 9, 10]) == "1-3 7 9-10"
+
+
+def test_changes_leave_zeros_to_themselves():
+    """A number that is zero is another variant: what it is multiplied with shows nothing."""
+    numbers, zeros = reach.changes(np.array([0.0, 2.0]))
+    assert numbers.tolist() == [0.0, 2.2]
+    assert zeros == pytest.approx([0.1, 2.0])
+    assert reach.changes(np.zeros(2))[0] is None
+    numbers, zeros = reach.changes(np.array([0, 3, -1], np.int32))
+    assert (numbers.tolist(), zeros.tolist()) == ([0, 2, 0], [1, 3, -1])
+    assert reach.changes(np.array([True, False]))[0].tolist() == [False, False]
+
+
 def test_what_nothing_reaches_is_named():
     """Limits act in random ticks and astray, the mission does not before its flight."""
     config = rust.load_config("test2", {"simulator.duration": 2.0})
     (scenario, start), samples = prepare(config), random_samples(config, 20)
     sections, _ = verify_astray(config, scenario, start)
-    found = reach.unreached(scenario, samples, sections)
+    found = reach.unreached(reach.Compared(scenario, samples, sections))
     assert not {"controller.torque_rate_max", "controller.torque_max", "plant.robot.joint_stops"} & {*found}
     assert not {"plant.robot.jets.thrust_max", "fall.rotation_error_deg", "fall.com_error"} & {*found}
     assert {"controller.mission.down", "wind.ramp_end", "controller.setpoint.attitude_rate"} <= {*found}

@@ -1,0 +1,143 @@
+"""What few flights reach, compared beside every flight, so that none depends on a number that is zero in it.
+
+```text
+everything  a small robot with all that JAX has, none of whose numbers is zero: `configs/verify/everything.toml`
+wind        the velocity of the air, of every kind
+limit       whether a state just within and just beyond each limit of what is physically possible ends a flight
+```
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.config import WindConfig
+from jax_aero.sim import outcome
+from jax_aero.sim.outcome import BY_THRUST, FLYING, LIMITS, lost_reason
+from jax_aero.sim.plant import PlantState
+from jax_aero.sim.preparation import prepare
+from jax_aero.sim.wind import wind_model, wind_velocity
+from jax_aero.types import State
+from jax_aero.verify import KERNEL_TOLERANCE, UNOPTIMISED, Row, compare, use_double_precision
+from jax_aero.verify.flight import compare_ticks, fly_sections, join, replay_rounded
+from jax_aero.verify.reach import Compared
+
+FILE = places.CONFIGS / "verify" / "everything.toml"
+
+PLAIN: dict[str, Any] = {
+    "simulator.initial.base_velocity": [0.0] * 6,
+    "simulator.jets": {"dynamics": "ideal"},
+    "simulator.actuation": None,
+    "simulator.sensors": None,
+    "controller.estimator": None,
+    "disturbances": {},
+}
+"""Changes with which the crate flies in a world that shows it any state."""
+
+STEADY = {"velocity": [3.0, -7.0, 1.0]}
+RISING = STEADY | {"ramp_start": 0.5, "ramp_end": 1.5}
+WINDS: dict[str, dict[str, Any]] = {
+    "constant": STEADY,
+    "ramp": RISING,
+    "gust": STEADY | {"gust": [2.0, 5.0, -3.0], "start": 0.7, "duration": 1.1},
+    "turbulent": RISING | {"std": [1.0, 2.0, 0.5], "time_scale": 0.6, "seed": 4},
+    "samples": {"samples": [[0.2, 1.0, 2.0, 3.0], [0.9, -4.0, 6.0, 0.5], [1.6, 2.0, -1.0, 7.0]]},
+}
+"""A wind of every kind, by its profile."""
+
+
+def verify_everything() -> tuple[list[Row], Compared]:
+    """Compare what few flights reach; return JAX's ticks of the flight too."""
+    config = use_double_precision(rust.load_config(FILE))
+    crate = rust.fly(config)
+    with jax.enable_x64(True):
+        scenario, start = prepare(config)
+        sections = list(fly_sections(scenario, start, crate, once=True))
+        rows = [*verify_winds(), verify_limits(config)]
+    twin = join(crate, sections)
+    rows = compare_ticks(crate, twin, replay_rounded(config, crate, twin), "all")[1] + rows
+    return rows, Compared(scenario, (), sections)
+
+
+def verify_winds() -> list[Row]:
+    """Compare every kind of wind from before its beginning to after its end."""
+    times, rows = np.linspace(0.0, 2.5, 251), []
+    for profile, numbers in WINDS.items():
+        table = {"profile": profile, **numbers}
+        wind = wind_model(msgspec.convert(table, WindConfig))
+        along = jax.jit(jax.vmap(partial(wind_velocity, wind)), compiler_options=UNOPTIMISED)
+        rows.append(compare("wind", profile, along(times), rust.wind_velocity(table, times), KERNEL_TOLERANCE))
+    return rows
+
+
+def verify_limits(config: Mapping[str, Any]) -> Row:
+    """Compare whether and why flights end that begin just within and just beyond each limit of what is possible."""
+    config = rust.set_keys(config, PLAIN)
+    with jax.enable_x64(True):
+        scenario, start = prepare(config)
+        judge = jax.jit(partial(outcome.divergence, scenario.plant), compiler_options=UNOPTIMISED)
+        unlike = []
+        for extreme in _extremes(rust.Robot(config["robot"]), np.asarray(start.plant.jets.thrust)):
+            state, thrust, wind = extreme
+            jets = start.plant.jets._replace(thrust=jnp.asarray(thrust))
+            code = int(judge(PlantState(State(*map(jnp.asarray, state)), jets, None), jnp.asarray(wind)))
+            ours = None if code == FLYING else lost_reason(code, 0.0)
+            unlike.append(ours != _judged(config, extreme))
+    return compare("limit", "outcome", np.array(unlike, float), np.zeros(len(unlike)), 0.0)
+
+
+Extreme = tuple[rust.State, NDArray[np.float64], NDArray[np.float64]]
+"""State, thrusts and wind."""
+
+
+def _extremes(robot: rust.Robot, thrust: NDArray[np.float64]) -> Iterator[Extreme]:
+    """Yield what is just within and just beyond each limit, of which one number is there."""
+    rest, still, n = rust.State.at_rest(robot), np.zeros(3), len(robot.joint_names)
+    speed, turning, joint, beyond, _ = LIMITS.values()
+    for share in (0.999, 1.001):
+        for place, limit in ((0, speed), (1, -speed), (4, turning), (5, -turning), (6, joint), (6 + n - 1, -joint)):
+            yield rest._replace(velocity=share * limit * np.eye(6 + n)[place]), thrust, still
+        for place, stop in ((0, 0), (n - 1, 1)):
+            position = np.zeros(n)
+            position[place] = robot.joint_stops[place][stop] + (2 * stop - 1) * share * beyond
+            yield rest._replace(joint_position=position), thrust, still
+        yield rest, thrust, np.array([0.0, 0.0, share * speed])
+        yield rest, np.append(share * LIMITS[BY_THRUST] * robot.thrust_max[0], thrust[1:]), still
+
+
+def _judged(config: Mapping[str, Any], extreme: Extreme) -> str | None:
+    """Return the reason for which a flight of the crate is lost in its second tick, if it has diverged."""
+    state, thrust, wind = extreme
+    robot, step = rust.Robot(config["robot"]), config["controller"]["time_step"]
+    world = _Shown(rust.State.at_rest(robot))
+    blown = {"profile": "samples", "samples": [[0.0, 0.0, 0.0, 0.0], [step, *wind.tolist()]]}
+    flight = rust.Flight(rust.set_keys(config, {"wind": blown}), world)
+    flight.step(command=rust.Command((thrust - flight.truth.thrust) / step, np.zeros(len(robot.joint_names))))
+    world.state = state
+    flight.step()
+    result = flight.result()
+    return result.lost_reason if result.outcome == "diverged" else None
+
+
+class _Shown:
+    """A world that shows one state."""
+
+    def __init__(self, state: rust.State) -> None:
+        self.state = state
+
+    def observe(self) -> rust.Seen:
+        n = len(np.asarray(self.state.joint_position))
+        return rust.Seen(self.state, self.state, np.zeros((0, 6)), np.zeros(n), np.zeros((0, 3)))
+
+    def advance(self, torque: NDArray[np.float64], force: NDArray[np.float64]) -> None:
+        """Stay there."""
