@@ -26,9 +26,6 @@ HOME = Path(jax_aero.__file__).parent
 FOLDERS = tuple(f"{HOME / name}/" for name in ("aero", "body", "control", "sim"))
 """Folders of the model."""
 
-CHOICES = ("where", "cond", "switch")
-"""Names of functions that choose."""
-
 INLINE = ("jit", "pjit", "closed_call", "core_call", "checkpoint", "remat2", "custom_jvp_call", "custom_vjp_call")
 """Primitives of one inner program, which may be computed in their place."""
 
@@ -142,12 +139,12 @@ def _choice(step: Any) -> str | None:
     is_where = step.primitive.name in ("jit", "pjit") and step.params["name"] == "_where"
     if not (is_where or step.primitive.name == "cond") or step.source_info.traceback is None:
         return None
-    inner = ""
+    inner: list[str] = []
     for frame in step.source_info.traceback.frames:
         if frame.file_name.startswith(FOLDERS):
-            place = Path(frame.file_name).relative_to(HOME).as_posix()
-            return f"{place}:{frame.line_num}" if inner in CHOICES else None
-        inner = frame.function_name
+            is_ours = inner[-1:] == ["where"] if is_where else "platform_dependent" not in inner
+            return f"{Path(frame.file_name).relative_to(HOME).as_posix()}:{frame.line_num}" if is_ours else None
+        inner.append(frame.function_name)
     return None
 
 

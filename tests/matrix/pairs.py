@@ -176,6 +176,12 @@ def fly(shop: Shop, name: str) -> None:
     shop.flight(name)
 
 
+@action("verify")
+def fly_file(shop: Shop, name: str) -> None:
+    """Fly what `jax-aero verify` compares beside every flight."""
+    shop.flight(str(places.CONFIGS / "verify" / f"{name}.toml"))
+
+
 @action("experiments")
 def replay(shop: Shop, name: str) -> None:
     """Replay its own log to the last bit."""
