@@ -97,6 +97,11 @@ REFUSALS = (
 """All that is refused."""
 
 
+def refused(config: ScenarioConfig, *, of_law: bool = False) -> list[Refusal]:
+    """Return what a configuration has that JAX does not fly; of the law alone, its own."""
+    return [refusal for refusal in REFUSALS if refusal.found(config) and (refusal.is_of_law or not of_law)]
+
+
 def refuse(config: ScenarioConfig, *, of_law: bool = False) -> None:
     """Refuse what the crate, or MuJoCo's back end, flies and JAX does not, by all its keys; of the law alone, its own.
 
@@ -110,9 +115,8 @@ def refuse(config: ScenarioConfig, *, of_law: bool = False) -> None:
 
 
 def _describe(config: ScenarioConfig, *, of_law: bool) -> Iterator[str]:
-    for refusal in REFUSALS:
+    for refusal in refused(config, of_law=of_law):
         value = refusal.found(config)
-        if value and (refusal.is_of_law or not of_law):
-            said = value if isinstance(value, int | float) and not isinstance(value, bool) else "given"
-            crate = 'the crate flies it (`backend = "rust"`)'
-            yield f"`{refusal.key}` is {said}; expected {refusal.expected}: JAX lacks {refusal.lacks}; {crate}"
+        said = value if isinstance(value, int | float) and not isinstance(value, bool) else "given"
+        crate = 'the crate flies it (`backend = "rust"`)'
+        yield f"`{refusal.key}` is {said}; expected {refusal.expected}: JAX lacks {refusal.lacks}; {crate}"

@@ -32,20 +32,25 @@ from jax_aero.base import places
 from jax_aero.base.quantities import shown
 from jax_aero.base.result import ending
 from jax_aero.base.terminal import Refused
+from jax_aero.base.typed import scenario_config
 from jax_aero.commands import study as studies
+from jax_aero.refusals import refused
 from jax_aero.results import kept, kept_tables
 from jax_aero.results.kept_tables import Names, Rows, Value, by_heading, of_columns, one
+from jax_aero.verify import compared
 
 BLOCK = re.compile(r"^<!-- table\n(?P<asks>.*?)^-->\n.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
 
 
 class Asked(msgspec.Struct, forbid_unknown_fields=True):
-    """What a block shows: one of `kept` and `flights`."""
+    """What a block shows: one of `kept`, `flights` and `compared`."""
 
     kept: str = ""
     """A kept result."""
     flights: Names = []
     """Experiments, which are flown."""
+    compared: bool = False
+    """What of each shipped experiment `jax-aero verify` compares, and the keys that JAX refuses."""
     rows: Any = {}
     """Of a sweep: levels by axis, all of an axis that is left out; of a study: cases."""
     across: str = ""
@@ -83,7 +88,7 @@ def written(text: str, path: Path) -> str:
 
 def shows(asked: Asked) -> str:
     """Return the table that a block asks for."""
-    sources = {"kept": _of_kept, "flights": _of_flights}
+    sources = {"kept": _of_kept, "flights": _of_flights, "compared": _of_compared}
     named = [source for source in sources if getattr(asked, source)]
     if len(named) != 1:
         raise Refused(f"a table shows {' and '.join(named) or 'nothing'}; expected one of {', '.join(sources)}")
@@ -116,6 +121,22 @@ def _of_flights(asked: Asked) -> Rows:
     headings, cells = of_columns(asked.columns, rows, labels)
     texts = [f"`{name}`" if text == name else text for text, name in by_heading(asked.flights).items()]
     return ["flight", *headings], [[text, *row] for text, row in zip(texts, cells, strict=True)]
+
+
+def _of_compared(_: Asked) -> Rows:
+    words = {"tick": "every tick, and the flight from its start", "law": "the law alone", "nothing": "nothing"}
+    found: dict[tuple[str, ...], list[str]] = {}
+    for name in places.names("experiments"):
+        config = rust.load_config(name)
+        lacks = refused(scenario_config(config))
+        parts = ({f"`{refusal.key}`" for refusal in lacks}, {refusal.lacks for refusal in lacks})
+        found.setdefault((words[compared(config)], *(", ".join(sorted(part)) for part in parts)), []).append(name)
+    whole = found.pop((words["tick"], "", ""))
+    rows = [[", ".join(f"`{name}`" for name in names), *how] for how, names in sorted(found.items())]
+    return ["experiments", "compared", "JAX refuses", "as it lacks"], [
+        *rows,
+        [f"the {len(whole)} others", words["tick"], "", ""],
+    ]
 
 
 @cache

@@ -77,14 +77,14 @@ class Measuring:
         return state, sample
 
 
-def measuring(config: ScenarioConfig, robot: RobotModel, wind: Wind, ticks: int) -> Measuring:
-    """Return what is measured in a flight of `ticks` ticks. Call it outside loops, since it draws noise."""
+def measuring(config: ScenarioConfig, robot: RobotModel, wind: Wind, ticks: int, drawn: int) -> Measuring:
+    """Return what is measured in a flight of `ticks` ticks. Call it outside loops: it draws noise of `drawn` ticks."""
     simulator, disturbances, step = config.simulator, config.disturbances, config.controller.time_step
     replaced, errors, sensing = disturbances.controller_wind, disturbances.wind_estimate, simulator.sensors
     given = None if replaced is None else wind_model(replaced)
     return Measuring(
-        None if sensing is None else sensors(sensing, leaf(step), ticks, robot.n_joints, robot.jets.count),
+        None if sensing is None else sensors(sensing, leaf(step), drawn, robot.n_joints, robot.jets.count),
         given,
-        None if errors is None else wind_estimate(errors, given or wind, step, ticks),
+        None if errors is None else wind_estimate(errors, given or wind, step, ticks, drawn),
         wrong_channels(disturbances.outages, robot),
     )

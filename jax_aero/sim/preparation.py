@@ -85,17 +85,17 @@ def prepare(
         raise ValueError(f"`robot` is that of {robot.source}; expected that of the configuration, {config.robot}")
     refuse(config)
     plant, state = world.start_plant(config, robot, aero, jets, read_network)
-    model, ticks, step = controller_model(config, robot), world.n_drawn(config), config.controller.time_step
-    wind, way = wind_model(config.wind), config.simulator.actuation
+    ticks, drawn, step = world.n_ticks(config), world.n_drawn(config), config.controller.time_step
+    model, wind, way = controller_model(config, robot), wind_model(config.wind), config.simulator.actuation
     scenario = Scenario(
         plant=plant,
         controller=momentum_controller(config, model or robot, read_network) if controller is None else controller,
         wind=wind,
         fall=leaves(FallLimits, config.simulator.fall),
         controller_model=model,
-        measuring=measuring(config, robot, wind, ticks),
-        actuation=None if way is None else actuation(way, step, config.simulator.substeps, ticks),
-        n_ticks=jnp.asarray(np.int32(world.n_ticks(config))),
+        measuring=measuring(config, robot, wind, ticks, drawn),
+        actuation=None if way is None else actuation(way, step, config.simulator.substeps, drawn),
+        n_ticks=jnp.asarray(np.int32(ticks)),
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))

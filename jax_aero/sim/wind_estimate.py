@@ -53,13 +53,16 @@ class WindEstimate:
         return jnp.where(is_filtered, state + (measured - state) * share, measured)
 
 
-def wind_estimate(settings: WindEstimateConfig, wind: Wind, time_step: float, ticks: int) -> WindEstimate:
-    """Return the errors of a flight of `ticks` ticks in a wind. Call it outside loops, since it draws noise."""
+def wind_estimate(settings: WindEstimateConfig, wind: Wind, time_step: float, ticks: int, drawn: int) -> WindEstimate:
+    """Return the errors of a flight of `ticks` ticks in a wind. Call it outside loops, since it draws noise.
+
+    Noise is that of `drawn` ticks.
+    """
     times = time_step * jnp.arange(ticks + 1)
     return WindEstimate(
         bias=leaf(settings.bias),
         noise_std=leaf(settings.noise_std),
-        noise=jnp.asarray(rust.normals(settings.seed, STREAM, 3 * (ticks + 1)).reshape(-1, 3)),
+        noise=jnp.asarray(rust.normals(settings.seed, STREAM, 3 * (drawn + 1)).reshape(-1, 3)),
         age=jnp.asarray(np.floor(settings.delay / time_step + 0.5), jnp.int32),  # half a tick rounds up
         time_constant=leaf(settings.time_constant),
         mean=jnp.mean(jax.vmap(wind_velocity, in_axes=(None, 0))(wind, times), axis=0) if settings.mean_only else None,

@@ -8,7 +8,6 @@ of the crate's result when every input changes by one rounding. `jax_aero.comman
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -234,15 +233,12 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
 def compared(config: Mapping[str, Any]) -> Literal["tick", "law", "nothing"]:
     """Return what of a flight JAX computes: every "tick", the "law" alone, or "nothing" of its controller."""
     from jax_aero.base.typed import scenario_config
-    from jax_aero.refusals import refuse
-    from jax_aero.sim.preparation import read_config
+    from jax_aero.refusals import refused
 
-    with suppress(ValueError):
-        refuse(read_config(config))
+    typed = scenario_config(config)
+    if not refused(typed):
         return "tick"
-    controller = scenario_config(config).controller
-    has_law = controller.use_jets and controller.contact is None and controller.torque.steps == 1
-    return "law" if has_law else "nothing"
+    return "law" if not refused(typed, of_law=True) and typed.controller.torque.steps == 1 else "nothing"
 
 
 def use_double_precision(config: dict[str, Any]) -> dict[str, Any]:

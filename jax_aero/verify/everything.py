@@ -24,7 +24,6 @@ from jax_aero.base import places
 from jax_aero.config import WindConfig
 from jax_aero.sim import outcome
 from jax_aero.sim.outcome import BY_THRUST, FLYING, LIMITS, lost_reason
-from jax_aero.sim.plant import PlantState
 from jax_aero.sim.preparation import prepare
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State
@@ -39,6 +38,7 @@ PLAIN: dict[str, Any] = {
     "simulator.jets": {"dynamics": "ideal"},
     "simulator.actuation": None,
     "simulator.sensors": None,
+    "simulator.motors": None,
     "controller.estimator": None,
     "disturbances": {},
 }
@@ -90,7 +90,8 @@ def verify_limits(config: Mapping[str, Any]) -> Row:
         for extreme in _extremes(rust.Robot(config["robot"]), np.asarray(start.plant.jets.thrust)):
             state, thrust, wind = extreme
             jets = start.plant.jets._replace(thrust=jnp.asarray(thrust))
-            code = int(judge(PlantState(State(*map(jnp.asarray, state)), jets, None), jnp.asarray(wind)))
+            plant = start.plant._replace(robot=State(*map(jnp.asarray, state)), jets=jets)
+            code = int(judge(plant, jnp.asarray(wind)))
             ours = None if code == FLYING else lost_reason(code, 0.0)
             unlike.append(ours != _judged(config, extreme))
     return compare("limit", "outcome", np.array(unlike, float), np.zeros(len(unlike)), 0.0)

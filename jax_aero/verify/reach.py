@@ -43,7 +43,7 @@ COPIED = (
 )
 """Beginnings of the names of a robot's numbers that no flight reads: it has a copy, or they are of other choices."""
 
-BEGUN = ("n_ticks", "plant.jets.failure_time")
+BEGUN = ("n_ticks", "plant.jets.failure_time", "plant.joint_faults.start", "plant.pushes.start")
 """Numbers that the first state of a flight has, or its end."""
 
 

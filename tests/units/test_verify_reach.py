@@ -99,14 +99,14 @@ def refused_of(flown, twin: Scenario, start) -> list[str]:
 def test_wrong_numbers_of_what_is_zero_in_most_flights_are_refused(flown):
     """Sensors that drift or tremble, a share of a latency, couples of rotors, a jet that fades: each by 1 %."""
     *_, scenario, start = flown
-    sensors, estimator = scenario.sensors, scenario.controller.estimator
+    sensors, estimator = scenario.measuring.sensors, scenario.controller.estimator
     robot, jets = scenario.plant.robot, scenario.plant.jets
 
     def of_plant(**parts) -> Scenario:
         return replace(scenario, plant=replace(scenario.plant, **parts))
 
     def of_sensors(**parts) -> Scenario:
-        return replace(scenario, sensors=replace(sensors, **parts))
+        return replace(scenario, measuring=replace(scenario.measuring, sensors=replace(sensors, **parts)))
 
     mixed = replace(estimator, lags=(1.01 * estimator.lags[0], estimator.lags[1]))
     couples = replace(robot.jets, torque_to_thrust=1.01 * robot.jets.torque_to_thrust)
@@ -179,6 +179,7 @@ def test_wrong_commands_where_a_qp_has_no_answer_are_refused(monkeypatch):
     ticks._twin_ticks.clear_cache()
 
 
+ENGINE = ("k_tt", "k_dd", "k_td", "b_t", "b_d", "b_uu", "c", "throttle_min")
 ELSEWHERE = {
     "limit of the integral",
     *("plant.robot.joint_stops", "plant.robot.jets.thrust_min", "plant.robot.jets.thrust_max", "controller.torque_max"),
@@ -187,12 +188,10 @@ ELSEWHERE = {
     *("controller.setpoint.nose_down_limits", "fall.com_error", "plant.jets.jets.thrust_min"),
     *("controller.setpoint.position_lags", "controller.mission.up", "controller.mission.down"),
     *("plant.robot.aero_links.positions", "controller_model.aero_links.positions"),
-    *(
-        f"plant.jets.jets.engines.{name}"
-        for name in ("k_tt", "k_dd", "k_td", "b_t", "b_d", "b_uu", "c", "throttle_min")
-    ),
+    *("plant.jets.is_stuck", "plant.joint_faults.is_stuck"),
+    *(f"{engines}.{name}" for engines in ("plant.jets.jets.engines", "controller.engines") for name in ENGINE),
 }
-"""What half a second of a small robot does not reach: limits, slow set-points, zeros of its own file and engine."""
+"""What half a second of a small robot does not reach: limits, slow set-points, zeros of its file, another failure."""
 
 
 def test_the_flight_with_everything_reaches_everything(flown):
@@ -201,7 +200,7 @@ def test_the_flight_with_everything_reaches_everything(flown):
     sections = list(fly_sections(scenario, start, crate, once=True))
     named = {*reach.unreached(reach.Compared(scenario, (), sections))}
     assert named <= ELSEWHERE
-    assert not {name for name in named if name.startswith(("sensors", "actuation", "wind", "controller.estimator"))}
+    assert not {name for name in named if name.startswith(("measuring", "actuation", "wind", "controller.estimator"))}
 
 
 def choose(x):
