@@ -105,6 +105,8 @@ def test_every_key_of_a_flight_is_set_by_a_file():
     flights, types = crate["experiments"], crate["experiments"]["$defs"]
     found = set()
     for path in FILES:
+        if path.parent == CONFIGS / "verify":
+            continue  # it has every key on purpose
         table, kind = tomllib.loads(path.read_text(encoding="utf-8")), path.parent.name
         if path.parent.parent == CONFIGS and kind in crate and kind != "robot":
             found |= set(keys_set(crate[kind], table, types, crate[kind]["title"]))
