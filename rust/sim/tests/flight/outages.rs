@@ -284,7 +284,8 @@ fn an_engine_that_stops_with_its_sensor_is_found_and_a_healthy_flight_is_the_sam
     let fly = |looks: bool, stops: bool| {
         let config = with(experiment("robot"), |config| {
             config.simulator.duration = if stops { 1.2 } else { 0.6 };
-            config.simulator.sensors.thrust = ThrustSensorConfig { resolution: 1.0, ..Default::default() };
+            config.simulator.sensors.as_mut().unwrap().thrust =
+                ThrustSensorConfig { resolution: 1.0, ..Default::default() };
             let jet = JETS[0].to_owned();
             if stops {
                 let lost = outage(OutageChannel::Thrust, FOR_EVER, OutageKind::Missing);
