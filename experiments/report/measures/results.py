@@ -191,9 +191,9 @@ def model_pairs(results: Results) -> Measured:
             name: (sum(c["completed"] for c in own), sum(c["on_course"] for c in own), sum(c["flights"] for c in own))
             for name, own in kinds.items()
         }
-        part, _, whole = counts["another model"]
+        part, on_course, whole = counts["another model"]
         said = ", ".join(f"{name} {n} ({on} on course) of {m}" for name, (n, on, m) in counts.items())
-        found[arms] = {"counts": said, "low": wilson(part, whole)[0]}
+        found[arms] = {"counts": said, "low": wilson(part, whole)[0], "on_course": on_course / whole}
     return Measured(found)
 
 
