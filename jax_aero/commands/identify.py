@@ -30,19 +30,21 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from jax_aero import rust
-from jax_aero.aero import AeroModel, aero_model
+from jax_aero.aero import aero_model
 from jax_aero.base import arguments, places, plain, tables
 from jax_aero.base.files import complete_folder
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.base.typed import scenario_config
+from jax_aero.body.kinematics import kinematics_at_rest
 from jax_aero.body.robot import RobotModel, load_robot
+from jax_aero.body.spatial import rotate
 from jax_aero.identify import excite, result, samples, verdict
 from jax_aero.identify.verdict import Verdict
 from jax_aero.results import study
 from jax_aero.results.table import text_table
 from jax_aero.sweep.perturbation import Perturbation
 from jax_aero.train import identify
-from jax_aero.train.identify import Found, Numbers, Samples
+from jax_aero.train.identify import Found, Model, Numbers, Samples
 from jax_aero.view import logs
 
 Array = NDArray[np.float64]
@@ -50,36 +52,50 @@ Signals = Mapping[str, Array]
 Record = dict[str, Any]
 
 GROUPS = {
-    "masses": ("mass", "com", "inertia"),
+    "masses": ("mass", "com", "inertia", "bodies", "fuel"),
     "axes": ("thrust_axes",),
     "engines": ("thrust_gain", "thrust_offset"),
-    "sensors": ("imu", "encoders"),
-    "drives": ("friction", "damping"),
+    "sensors": ("imu", "gyro", "encoders"),
+    "drives": ("torque_gain", "friction", "damping"),
     "delays": ("delay",),
-    "air": ("air", "wrench", "wind"),
+    "air": ("air", "air_turn", "air_point", "wrench", "wind"),
 }
 """Numbers by the word of `--only`."""
 UNITS = {
     "mass": ("%", 100.0),
     "com": ("mm", 1e3),
     "inertia": ("%", 100.0),
+    "bodies": ("1e-3, mm", 1e3),
+    "fuel": ("mg/(N s)", 1e6),
+    "torque_gain": ("%", 100.0),
     "thrust_gain": ("%", 100.0),
     "thrust_offset": ("N", 1.0),
     "thrust_axes": ("deg", np.degrees(1.0)),
     "imu": ("deg", np.degrees(1.0)),
+    "gyro": ("deg", np.degrees(1.0)),
     "encoders": ("deg", np.degrees(1.0)),
     "friction": ("N m", 1.0),
     "damping": ("N m s", 1.0),
     "air": ("%", 100.0),
+    "air_turn": ("deg", np.degrees(1.0)),
+    "air_point": ("mm", 1e3),
     "wrench": ("N, N m", 1.0),
     "wind": ("m/s", 1.0),
     "delay": ("ms", 1e3),
 }
+BODY = ("mass", "x", "y", "z", "size.x", "size.y", "size.z", "shear.zx", "shear.zy", "shear.yx")
+"""Parts of a body's numbers."""
+FOUND = 0.5
+"""Share of the data in a number from which it is found."""
+RELATED = 0.3
+"""Correlation of errors from which it is stored."""
 INTERVAL = 0.95
 """Probability of an interval."""
 Z = float(ndtri(0.5 + 0.5 * INTERVAL))
 """Its half width in deviations of a normal distribution."""
-UNIFORM = ("mass", "com", "inertia", "thrust_gain", "thrust_axes", "imu", "encoders", "friction")
+MANY = ("bodies", "air_turn", "air_point")
+"""Numbers of which only those that are found are shown."""
+UNIFORM = ("mass", "com", "inertia", "thrust_gain", "torque_gain", "thrust_axes", "imu", "encoders", "friction")
 """Numbers whose prior is uniform."""
 HELD_OUT = 1.0 / 3.0
 """Share of every log, at its end, that is predicted before it is used."""
@@ -96,6 +112,21 @@ DELAY = 0.005
 """Of delays that the controller's estimator does not state [s]: half a period of commands that are held."""
 WIND = 5.0
 """Of a wind that is not measured [m/s]."""
+TORQUE_GAIN = 1.0 / 0.9 - 1.0
+"""Half width of the gain of measured torques, which are within 10 %: harmonic drives, whose efficiency varies with
+load."""
+BODIES = (0.03, 0.003, 0.02)
+"""Half widths of bodies' masses, relative, centres [m] and sizes, relative, beside what the robot has in common: of
+CAD, and of cables and screws that it lacks. Ours."""
+HEAVY, LOAD = 0.02, (1.0, 0.15)
+"""Share of the whole mass from which bodies have these; what the heaviest one may carry, how far from its centre [kg,
+m], which is found as mass, centre and inertia of the whole."""
+FUEL = 3e-5
+"""Deviation of the consumption [kg/(N s)]: that of small turbines is 4e-5 to 5e-5."""
+GYRO = np.radians(0.05)
+"""Of the gyroscope's rotation in its case [rad]: that of the MTi's data."""
+TURNED = (0.3, 0.03)
+"""Of the direction of the air's force on a link [rad], and of its point [m]: of a model's, by a network; ours."""
 
 
 def main(words: Sequence[str]) -> int:
@@ -116,6 +147,8 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--prior", default="unknown_robot", metavar="NAME", help=about)
     parser.add_argument("--propose", action="store_true", help="say how much a log of each axis in motion would add")
     parser.add_argument("--excite", metavar="AXES", help=f"write a mission that moves some of {','.join(excite.AXES)}")
+    about = "wind of that mission, of configs/wind (default: still air, in which numbers are found best)"
+    parser.add_argument("--wind", metavar="NAME", default="still", help=about)
     arguments.add_name(parser, "that of the first log")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/identify)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing result")
@@ -161,11 +194,23 @@ def _identify(given: argparse.Namespace) -> int:
             "conflicts": judged.conflicts,
             "held_out": [row._asdict() for row in judged.rows],
             "numbers": rows,
+            "correlations": correlations(robot, found, shown),
         }
+        text = json.dumps(facts, indent=1, ensure_ascii=False) + "\n"
+        numbers = numbers_of(robot, np.where(shown, found.value, 0.0))
+        is_found = numbers_of(robot, (shown & (found.share >= FOUND)).astype(float))
+        notes = [
+            f"Found by jax-aero identify in logs with sha256 {digest}.",
+            *([] if judged.is_explained else ["The model does not explain the log."]),
+            *(f"{row['name']}: {describe(row)}" for row in rows),
+        ]
         with complete_folder(folder, replace=given.overwrite) as draft:
-            text = json.dumps(facts, indent=1, ensure_ascii=False) + "\n"
             (draft / "numbers.json").write_text(text, encoding="utf-8")
-        _draw(known, folder / "held_out.png")
+            _draw(known, draft / "held_out.png")
+            if judged.is_explained or given.anyway:
+                result.write_perturbation(draft, numbers_of(robot, found.deviation))
+                result.write_experiment(draft, config, robot, numbers, is_found)
+                result.write_robot(draft, source, known.model, numbers, notes)
         for reason, count in known.left_out.items():
             print(f"{count} of {sum(len(log.weight) for log in known.logs)} samples left out: {reason}")
         print(f"wind: {wind}")
@@ -176,16 +221,8 @@ def _identify(given: argparse.Namespace) -> int:
             if not given.anyway:
                 print(f"{folder / 'numbers.json'}: the log is not explained; no robot is written without --anyway")
                 return 1
-        numbers = numbers_of(robot, np.where(shown, found.value, 0.0))
-        result.write_perturbation(folder, numbers_of(robot, found.deviation))
-        result.write_experiment(folder, config, robot, numbers)
-        notes = [
-            f"Found by jax-aero identify in logs with sha256 {digest}.",
-            *([] if judged.is_explained else ["The model does not explain the log."]),
-            *(f"{row['name']}: {describe(row)}" for row in rows),
-        ]
-        result.write_robot(folder, source, robot, numbers, notes)
-    table = [(row["name"], describe(row), f"{row['share']:.2f}{'' if row['found'] else ', not found'}") for row in rows]
+    few = [row for row in rows if row["found"] or row["name"].split(".")[0] not in MANY]
+    table = [(row["name"], describe(row), f"{row['share']:.2f}{'' if row['found'] else ', not found'}") for row in few]
     print(text_table([("difference from the file", "value, 95 % interval", "share of the data"), *table]))
     if config["controller"]["fault_detection"].get("latency"):
         computed = rust.replay({**config, "robot": str(folder / "robot.toml"), "disturbances": {}}, signals[0])
@@ -237,7 +274,7 @@ def mistake(
         changed = without(signals[0])
         log, _ = samples.sample(changed, config, robot)
         some = Samples(*(part[:: max(len(part) // verdict.SOME, 1)][: verdict.SOME] for part in log))
-        scores.append((min(verdict.score(model, known.aero, guess, some) for guess in guesses), text, changed))
+        scores.append((min(verdict.score(known.model, guess, some) for guess in guesses), text, changed))
     for _, text, changed in sorted(scores, key=lambda one: one[0])[: verdict.TRIED]:
         if identify_robot(config, source, [changed], prior, mass).verdict.is_explained:
             return text
@@ -252,17 +289,17 @@ def mistake(
 
 def proposals(config: rust.Config, known: Identified) -> list[tuple[str, str, str]]:
     """Return what a log of each manoeuvre of one axis would add, the best first; each is flown in the experiment."""
-    robot, found, aero = known.robot, known.found, known.aero
+    robot, found = known.robot, known.found
     rows, names = [], [name for name, *_ in labels(robot)]
     numbers = numbers_of(robot, found.value)
     with tempfile.TemporaryDirectory() as folder:
         for axis in excite.AXES:
             log = rust.fly(excite.flight(config, [axis], Path(folder))).log
             more, _ = samples.sample(log, config, rust.Robot(config["robot"]))
-            left = identify.expected(robot, aero, numbers, found, more, samples.PERIOD)
+            left = identify.expected(known.model, numbers, found, more, samples.PERIOD)
             asked = found.prior > 0.0
             remains = float(np.exp(np.mean(np.log(left[asked] / found.deviation[asked]))))
-            newly = asked & (found.share < 0.5) & (left < np.sqrt(0.5) * found.prior)
+            newly = asked & (found.share < FOUND) & (left < np.sqrt(0.5) * found.prior)
             rows.append((remains, axis, ", ".join(names[place] for place in np.flatnonzero(newly)) or "none"))
     table = [(f"--excite {axis}", f"{100.0 * remains:.0f} %", newly) for remains, axis, newly in sorted(rows)]
     return [("a log of", "intervals left, geometric mean", "found besides"), *table]
@@ -272,22 +309,51 @@ def prior_of(robot: RobotModel, widths: Perturbation, wind: float = 0.0) -> Numb
     """Return prior standard deviations: those of uniform distributions with these half widths; `wind` is that of it."""
     jets, joints, links = robot.jets.count, robot.n_joints, robot.aero_links.count
     deviation, (weight, radius) = 1.0 / np.sqrt(3.0), identify.scale_of(robot)
+    has_bodies = float(widths.mass > 0.0 and joints > 0)
+    com, inertia = _of_whole(robot, _bodies(robot, LOAD))
     return Numbers(
         mass=np.asarray(widths.mass * deviation),
-        com=np.full(3, widths.com * deviation),
-        inertia=np.asarray(widths.inertia * deviation),
+        com=np.hypot(widths.com * deviation, has_bodies * com) * (widths.com > 0.0),
+        inertia=np.hypot(widths.inertia * deviation, has_bodies * inertia) * (widths.inertia > 0.0),
+        bodies=_bodies(robot) * has_bodies,
+        fuel=np.asarray(FUEL),
         thrust_gain=np.full(jets, widths.thrust_gain * deviation),
         thrust_offset=OFFSET * np.asarray(robot.jets.thrust_max),
         thrust_axes=np.full((jets, 2), np.radians(widths.thrust_axis_deg) * deviation),
+        torque_gain=np.full(len(robot.joint_groups), TORQUE_GAIN * deviation),
         imu=np.full(3, np.radians(widths.imu_deg) * deviation),
+        gyro=np.full(3, GYRO),
         encoders=np.full(joints, np.radians(widths.encoders_deg) * deviation),
         friction=np.full(joints, widths.friction * deviation),  # from zero to the greatest
         damping=np.asarray(DAMPING if joints else 0.0),
         air=np.full(links, np.hypot(widths.drag, widths.link) * deviation),
+        air_turn=np.full((links, 3), TURNED[0]),
+        air_point=np.full((links, 3), TURNED[1]),
         wrench=weight * np.repeat([CONSTANT[0], CONSTANT[1] * radius], 3),
         wind=np.full(3, wind),
         delay=np.array([DELAY, np.hypot(DELAY, widths.latency * deviation) if joints else 0.0]),
     )
+
+
+def _bodies(robot: RobotModel, load: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Return the deviations of bodies' numbers (nb, 10): of the heavy ones, and of what the heaviest may carry."""
+    masses = np.asarray(robot.masses)
+    found: Array = np.repeat(BODIES, [1, 3, 6]) * (masses > HEAVY * masses.sum())[:, None] / np.sqrt(3.0)
+    heaviest = masses.argmax()
+    carried = load[0] / masses[heaviest] / np.sqrt(3.0)
+    found[heaviest, :4] = np.hypot(found[heaviest, :4], carried * np.array([1.0, *[load[1]] * 3]))
+    return found
+
+
+def _of_whole(robot: RobotModel, bodies: Array) -> tuple[Array, float]:
+    """Return by how much bodies that deviate so change centre of mass and inertia, as `Numbers` has them."""
+    kin = kinematics_at_rest(robot, jnp.zeros(robot.n_joints))
+    masses = np.asarray(robot.masses)
+    arms = np.asarray(kin.body_positions + rotate(kin.body_rotations, jnp.asarray(robot.coms)) - kin.com)
+    heavier, moved = (masses * bodies[:, 0])[:, None], masses[:, None] * bodies[:, 1:4].mean(axis=1, keepdims=True)
+    com: Array = np.sqrt(np.sum((heavier * arms) ** 2 + moved**2, axis=0)) / masses[0]
+    squares = np.sum((2.0 * heavier * np.sum(arms**2, axis=1, keepdims=True)) ** 2 + np.sum((4.0 * moved * arms) ** 2))
+    return com, float(np.sqrt(squares) / np.trace(np.asarray(robot.inertias), axis1=1, axis2=2).sum())
 
 
 def identify_robot(
@@ -308,7 +374,8 @@ def identify_robot(
     controller = scenario_config({**config, "robot": str(source), "disturbances": {}}).controller
     robot = load_robot(source) if robot is None else robot
     robot = replace(robot, rotor_inertia=jnp.asarray(controller.torque.rotor_inertia * robot.joint_turns))
-    aero, file = aero_model(controller.aero, robot), rust.Robot(source)
+    file = rust.Robot(source)
+    model = Model(robot, aero_model(controller.aero, robot), np.nanmean(signals[0]["raw_joint_position"], axis=0))
     zero = Numbers(*(np.zeros(np.shape(part)) for part in prior))
     stands = not config["controller"].get("use_jets", True)
     every, again = [], []
@@ -316,7 +383,7 @@ def identify_robot(
     for log in signals:
         one, reasons = samples.sample(log, config, file, stands)
         if not stands and not reasons.get("feet loaded"):
-            load = identify.unexplained(robot, aero, zero, one)[:, 2] / identify.scale_of(robot)[0]
+            load = identify.unexplained(model, zero, one)[:, 2] / identify.scale_of(robot)[0]
             ground = samples.grounded(load, np.linalg.norm(one.linear_velocity, axis=1)) & (one.weight > 0.0)
             one = one._replace(weight=one.weight * ~ground)
             reasons |= {"feet loaded": int(ground.sum())} if ground.any() else {}
@@ -324,6 +391,11 @@ def identify_robot(
             counts = ", ".join(f"{count} by {reason}" for reason, count in reasons.items())
             expected = f"{samples.LEAST:g} s that the equations of flight cover; left out: {counts}"
             raise Refused(f"a log has {one.weight.sum() * samples.PERIOD:g} s of flight; expected {expected}")
+        flying = one.weight.size - reasons.get("feet loaded", 0) - reasons.get("engines idle", 0)
+        if one.weight.sum() < samples.KEPT * flying:
+            counts = ", ".join(f"{count} by {reason}" for reason, count in reasons.items())
+            kept = f"{one.weight.sum():.0f} of {flying} samples in flight"
+            raise Refused(f"a log keeps {kept}; expected half of them; left out: {counts}")
         left_out = {name: left_out.get(name, 0) + reasons.get(name, 0) for name in {**left_out, **reasons}}
         every.append(one)
         again.append(samples.sample(samples.with_noise_again(log), config, file, stands)[0])
@@ -331,10 +403,10 @@ def identify_robot(
     if is_predicted:
         known[-1] = 0
     weighed = None if mass is None else (mass, SCALE_ERROR * mass)
-    found = identify.estimate(robot, aero, every, samples.PERIOD, prior, weighed, known=known)
+    found = identify.estimate(model, every, samples.PERIOD, prior, weighed, known=known)
     names = [name for name, *_ in labels(robot)]
-    judged = verdict.judge(robot, aero, numbers_of(robot, found.value), found, every, again, known, names)
-    return Identified(robot, aero, every, found, judged, left_out, known)
+    judged = verdict.judge(model, numbers_of(robot, found.value), found, every, again, known, names)
+    return Identified(model, every, found, judged, left_out, known)
 
 
 class Identified(NamedTuple):
@@ -342,21 +414,25 @@ class Identified(NamedTuple):
 
     Attributes
     ----------
-    robot, aero
-        The model that the numbers are differences of, and that of its air.
+    model
+        What the numbers are differences of.
     logs, known
         Samples, and how many of each predict the others.
     left_out
         Samples that the equations do not cover, by reason.
     """
 
-    robot: RobotModel
-    aero: AeroModel
+    model: Model
     logs: list[Samples]
     found: Found
     verdict: Verdict
     left_out: dict[str, int]
     known: list[int]
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot that the numbers are differences of."""
+        return self.model.robot
 
 
 def _part(weight: Array, share: float) -> int:
@@ -381,6 +457,9 @@ def labels(robot: RobotModel) -> list[tuple[str, str, float]]:
     entries: dict[str, Sequence[str]] = {
         "com": xyz, "thrust_gain": jets, "thrust_offset": jets, "imu": xyz, "encoders": joints, "friction": joints,
         "air": robot.aero_links.names,
+        "bodies": [f"{body}.{part}" for body in robot.body_names for part in BODY],
+        "torque_gain": [name for name, _ in robot.joint_groups], "gyro": xyz,
+        **{name: [f"{link}.{axis}" for link in robot.aero_links.names for axis in xyz] for name in MANY[1:]},
         "thrust_axes": [f"{jet}.{number}" for jet in jets for number in (1, 2)],
         "wrench": ["fx", "fy", "fz", "mx", "my", "mz"], "wind": xyz, "delay": ["thrust", "torque"],
     }  # fmt: skip
@@ -399,25 +478,41 @@ def _places(robot: RobotModel, found: Found, words: Sequence[str]) -> NDArray[np
 
 def records(robot: RobotModel, found: Found, shown: NDArray[np.bool_]) -> list[Record]:
     """Return the numbers as data, in their units: value, interval, deviation before, share of the data."""
-    rows, (low, high) = [], intervals(robot, found)
+    rows, (low, middle, high) = [], quantiles(robot, found, (0.5 - 0.5 * INTERVAL, 0.5, 0.5 + 0.5 * INTERVAL))
     for place in np.flatnonzero(shown):
         name, unit, factor = labels(robot)[place]
         rows.append(
             {
                 "name": name,
-                "value": factor * float(found.value[place]),
+                "value": factor * float(middle[place]),
                 "interval": [factor * float(low[place]), factor * float(high[place])],
                 "unit": unit,
                 "prior": factor * float(found.prior[place]),
                 "share": float(found.share[place]),
-                "found": bool(found.share[place] >= 0.5),
+                "found": bool(found.share[place] >= FOUND),
             }
         )
     return rows
 
 
+def correlations(robot: RobotModel, found: Found, shown: NDArray[np.bool_]) -> list[tuple[str, str, float]]:
+    """Return the numbers that are found and the correlations of their errors, those of `RELATED` and above."""
+    places = np.flatnonzero(shown & (found.share >= FOUND))
+    names = [labels(robot)[place][0] for place in places]
+    deviation = found.deviation[places]
+    matrix = found.covariance[np.ix_(places, places)] / np.outer(deviation, deviation)
+    pairs = np.argwhere(np.triu(np.abs(matrix) >= RELATED, 1)).tolist()
+    return [(names[row], names[column], round(float(matrix[row, column]), 3)) for row, column in pairs]
+
+
 def intervals(robot: RobotModel, found: Found) -> tuple[Array, Array]:
-    """Return the intervals of all numbers, `INTERVAL` likely.
+    """Return the ends of the intervals of all numbers, `INTERVAL` likely."""
+    low, high = quantiles(robot, found, (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL))
+    return low, high
+
+
+def quantiles(robot: RobotModel, found: Found, probabilities: Sequence[float]) -> list[Array]:
+    """Return the values below which all numbers are with these probabilities.
 
     Errors of a file are uniform in `UNIFORM`, of friction from zero, so that what the data alone give is cut there.
     """
@@ -431,9 +526,8 @@ def intervals(robot: RobotModel, found: Found) -> tuple[Array, Array]:
     is_cut = np.array([name in UNIFORM for name in names]) & is_free
     is_cut &= (alone + 2.0 * spread >= least) & (alone - 2.0 * spread <= half)
     edges = [np.where(is_cut, ndtr((edge - alone) / spread), outer) for edge, outer in ((least, 0.0), (half, 1.0))]
-    low, high = (edges[0] + part * (edges[1] - edges[0]) for part in (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL))
     centre, width = np.where(is_cut, alone, found.value), np.where(is_cut, spread, found.deviation)
-    return centre + width * ndtri(low), centre + width * ndtri(high)
+    return [centre + width * ndtri(edges[0] + part * (edges[1] - edges[0])) for part in probabilities]
 
 
 def describe(row: Record) -> str:
@@ -461,7 +555,7 @@ def _draw(known: Identified, out: Path) -> None:
     count = known.known[-1]
     end = Samples(*(part[count:] for part in known.logs[-1]))
     numbers = numbers_of(known.robot, known.found.value)
-    mass = identify.mass_matrices(known.robot, known.aero, numbers, end)
+    mass = identify.mass_matrices(known.model, numbers, end)
     measured = verdict.measured(end)[:, :6]
     figure = style.figure(6.0)
     panels = figure.subplots(6, 1, sharex=True)
@@ -491,6 +585,7 @@ def _excite(given: argparse.Namespace) -> int:
         excite.write(draft / "excite.csv", excite.reference_of(config, axes, *excite.SPAN))
         none = dict.fromkeys((name for name, given in config["mission"].items() if given and name != "file"), ())
         mission = {"base": str(experiment.resolve()), **changes, "mission": {"file": "excite.csv", **none}}
+        mission["wind"] = {"base": str(study.find("wind", given.wind))}
         text = plain.toml(mission | {"simulator": {"duration": excite.SPAN[1] + 2.0}})
         (draft / "excite.toml").write_text(text + "\n", encoding="utf-8")
     print(f"fly it: jax-aero fly {folder / 'excite.toml'}")

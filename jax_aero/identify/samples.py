@@ -13,21 +13,23 @@ from scipy.spatial.transform import Rotation
 from jax_aero import rust
 from jax_aero.base.terminal import Refused
 from jax_aero.replay import on_its_feet
-from jax_aero.train.identify import Samples
+from jax_aero.train.identify import WIDTH, Samples
 from jax_aero.view import logs
 
 Array = NDArray[np.float64]
 
 PERIOD = 0.1
 """Time between two samples [s]."""
-WIDTH = 0.05
-"""Standard deviation of the Gaussian that smooths all signals alike [s]."""
 SETTLING = 1.0
 """Time at the start of a log that is left out [s]: a flight begins with a step."""
 NOISY = ("raw_base_position", "raw_base_rotation", "raw_base_velocity", "raw_joint_position", "raw_thrust")
 """Signals of sensors."""
 MEASURED = (*NOISY, "joint_torque")
 """Signals without which there are no samples; `raw_wind` may be missing."""
+BRIDGED = (0.05, 3.0)
+"""Gaps between rows that are interpolated: of that time [s], or that many steps."""
+KEPT = 0.5
+"""Least share of the samples in flight that a log keeps."""
 LEAST = 3.0
 """Least time of flight that a log needs [s]."""
 REACH = 0.2
@@ -126,6 +128,8 @@ def sample(
     Each signal is taken as late as the controller's estimator says that it is measured. `with_feet` takes the measured
     wrenches of the feet into the equations.
     """
+    noise, of_velocity = noise_of(signals["raw_thrust"]), noise_of(signals["raw_base_velocity"])
+    signals = even(signals)
     estimator = config["controller"].get("estimator") or {}
 
     def late(name: str) -> float:
@@ -154,8 +158,12 @@ def sample(
     joints, rates = signals["raw_joint_position"], late("base_angular_velocity")
     wind = signals.get("raw_wind", np.full((time.size, 3), np.nan))
     feet = _of_feet(signals, robot) if with_feet else np.zeros((time.size, 6 + joints.shape[1]))
+    turned = smooth(rotation, rotation_late, 1)
+    impulse = np.cumsum(_filled(time, signals["raw_thrust"]).sum(axis=1)) * (time[1] - time[0])
     found = Samples(
         weight=(~np.any(list(near.values()), axis=0)).astype(float),
+        burnt=np.interp(at, time, impulse),
+        turn_rate=turn_of(np.einsum("kba,kbc->kac", left @ right, turned)),
         position_rate=smooth(signals["raw_base_position"], late("base_position"), 1),
         rotation=left @ right,
         linear_velocity=smooth(velocity[:, :3], linear_late),
@@ -167,12 +175,40 @@ def sample(
         joint_acceleration=smooth(joints, 0.0, 2),
         thrust=smooth(signals["raw_thrust"], late("thrust")),
         thrust_rate=smooth(signals["raw_thrust"], late("thrust"), 1),
+        thrust_noise=np.tile(noise * np.sqrt((time[1] - time[0]) / PERIOD), (at.size, 1)),
+        velocity_noise=np.tile(of_velocity * np.sqrt((time[1] - time[0]) / PERIOD), (at.size, 1)),
         torque=smooth(signals["joint_torque"], torque_late),
         torque_rate=smooth(signals["joint_torque"], torque_late, 1),
         wind=smooth(wind, 0.0) if is_measured(signals) else np.zeros((at.size, 3)),
         feet=smooth(feet, 0.0),
     )
     return found, {name: int(rows.sum()) for name, rows in near.items() if rows.any()}
+
+
+def even(signals: Mapping[str, Array]) -> dict[str, Array]:
+    """Return signals at times of the log's median step, between rows that are near each other; else not a number.
+
+    Rows without a number, and but for the first those of one time, count as lost.
+    """
+    time, first = np.unique(signals["time"], return_index=True)
+    step = float(np.median(np.diff(time)))
+    at = time[0] + step * np.arange(int((time[-1] - time[0]) / step + 1.5))
+    found = {"time": at}
+    for name, rows in signals.items():
+        if len(rows) != len(signals["time"]) or name == "time":
+            continue
+        flat = rows[first].reshape(time.size, int(np.prod(rows.shape[1:])))
+        known = np.flatnonzero(np.isfinite(flat).all(axis=1))
+        if known.size < 2:
+            found[name] = np.full((at.size, *rows.shape[1:]), np.nan)
+            continue
+        after = np.clip(np.searchsorted(time[known], at), 1, known.size - 1)
+        begin, end = time[known[after - 1]], time[known[after]]
+        share = (at - begin) / (end - begin)
+        near = (np.abs(share - 0.5) <= 0.5 + 1e-6) & (end - begin <= max(BRIDGED[0], BRIDGED[1] * step) + 1e-9)
+        moved = flat[known[after - 1]] + share[:, None] * (flat[known[after]] - flat[known[after - 1]])
+        found[name] = np.where(near[:, None], moved, np.nan).reshape(at.size, *rows.shape[1:])
+    return found
 
 
 def is_measured(signals: Mapping[str, Array]) -> bool:
@@ -244,7 +280,7 @@ def with_noise_again(signals: Mapping[str, Array]) -> dict[str, Array]:
     rng, found = np.random.default_rng(0), dict(signals)
     for name in NOISY:
         rows = signals[name].reshape(len(signals[name]), int(np.prod(signals[name].shape[1:])))
-        size = np.sqrt(np.nanmean(np.diff(rows, 3, axis=0) ** 2, axis=0) / 20.0)
+        size = noise_of(rows)
         if name == "raw_base_rotation":
             turns = np.sqrt(np.sum(size**2) / 6.0) * rng.normal(size=(len(rows), 3))
             found[name] = signals[name] @ Rotation.from_rotvec(turns).as_matrix()
@@ -253,8 +289,14 @@ def with_noise_again(signals: Mapping[str, Array]) -> dict[str, Array]:
     return found
 
 
+def noise_of(rows: Array) -> Array:
+    """Return the deviation of the white noise in every column, as third differences show it."""
+    size: Array = np.sqrt(np.nanmean(np.diff(rows, 3, axis=0) ** 2, axis=0) / 20.0)
+    return size
+
+
 def turn_of(rotations: Array) -> Array:
-    """Return the turns of rotations by small angles [rad], (k, 3)."""
+    """Return the turns of rotations by small angles [rad], or vectors of skew matrices, (k, 3)."""
     places = ((2, 1), (0, 2), (1, 0))
     return 0.5 * np.stack([rotations[:, row, column] - rotations[:, column, row] for row, column in places], axis=1)
 

@@ -3,9 +3,11 @@
     ratio² = mean r² / (n² + f²)        n the noise of the sensors in the residual r, f what no number explains
     bound² = 1 + q √(2 (n⁴/ν_n + f⁴/ν_f)) / (n² + f²)
 
-`n` is what the residual changes by when the log's own noise, which third differences of its rows show, is added to it
-once more. `f` has the estimate's `unmodelled_variance` and the uncertainty of the numbers, which last; `ν` count
-samples that are independent, and `q` is a deviation of the normal distribution that no right row of a log exceeds.
+`n` is what the residual changes by when the log's own white noise, which third differences of its rows show, is added
+to it once more, and what coloured noise adds: velocities and derivatives of poses measure the same, and differ by noise
+and by what goes with the motion, such as a clock or a delay. `f` has the estimate's `unmodelled_variance` and the
+uncertainty of the numbers, which last; `ν` count samples that are independent, and `q` is a deviation of the normal
+distribution that no right row of a log exceeds.
 """
 
 from __future__ import annotations
@@ -19,12 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.aero import AeroModel
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import wxyz_from_rotation
-from jax_aero.identify.samples import PERIOD, turn_of
+from jax_aero.identify.samples import PERIOD
 from jax_aero.train import identify
-from jax_aero.train.identify import Found, Numbers, Samples
+from jax_aero.train.identify import Found, Model, Numbers, Samples
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
@@ -37,6 +38,12 @@ LEAST_ROW = 0.9
 """Least time of a row by which a log is judged [s]."""
 KINEMATIC = (0.03, 0.02)
 """Deviation of velocities and turning from the derivatives of pose, by sensors askew or late [m/s, rad/s]."""
+COLOURED = (0.15, 0.1)
+"""Greatest deviation of velocities and rates of turn that counts as noise [m/s, rad/s]."""
+AGREE = (0.004, 0.008)
+"""Differences of the scales of rates and of their times that no sensor's file states [1, s]."""
+SEEN = 5.0
+"""Deviations from which such a difference is there."""
 SOME, TRIED = 120, 3
 """Samples by which mistakes are compared, and how many are then tried in full."""
 LOAD = 0.05
@@ -83,8 +90,7 @@ class Verdict(NamedTuple):
 
 
 def judge(
-    robot: RobotModel,
-    aero: AeroModel,
+    model: Model,
     numbers: Numbers,
     found: Found,
     logs: Sequence[Samples],
@@ -93,6 +99,7 @@ def judge(
     names: Sequence[str],
 ) -> Verdict:
     """Return the verdict on numbers that the first `known` samples of logs gave; `again` have their noise twice."""
+    conflicts = conflicts_of(found, names)
     total: Any = 0.0
     squares: dict[str, Any] = dict.fromkeys(("measured", "file", "found", "error", "noise", "unmodelled"), 0.0)
     for log, more, (before, _), (left, spread, weight), count in zip(
@@ -100,24 +107,27 @@ def judge(
     ):
         if count == len(log.weight):
             continue
+        sensors = compare_rates(log, more)
+        conflicts += sensors.conflicts
         end, noisy = (Samples(*(part[count:] for part in one)) for one in (log, more))
-        noise = identify.unexplained(robot, aero, numbers, noisy) - identify.unexplained(robot, aero, numbers, end)
-        mass = identify.mass_matrices(robot, aero, numbers, end)
-        air = identify.air_of(robot, aero, numbers, end, left)
+        noise = identify.unexplained(model, numbers, noisy) - identify.unexplained(model, numbers, end)
+        mass = identify.mass_matrices(model, numbers, end)
+        air = identify.air_of(model, numbers, end, left)
         variance = np.concatenate(
             [
-                identify.unmodelled_variance(robot, air) + spread**2,
+                identify.unmodelled_variance(model.robot, air) + spread**2,
                 np.tile(np.square(np.repeat(KINEMATIC, 3)), (len(left), 1)),
             ],
             axis=1,
         )
         apart = _kinematic(end)
+        coloured = np.sqrt(mass[:, :, :6] ** 2 @ sensors.acceleration)
         rows = {
-            "measured": np.concatenate([measured(end), np.asarray(end.linear_velocity), _turning(end)], axis=1),
+            "measured": np.concatenate([measured(end), np.asarray(end.linear_velocity), end.gyro], axis=1),
             "file": np.concatenate([accelerations(mass, before[count:]), apart], axis=1),
             "found": np.concatenate([accelerations(mass, left), apart], axis=1),
             "error": np.concatenate([left, apart], axis=1),
-            "noise": np.concatenate([noise, _kinematic(noisy) - apart], axis=1),
+            "noise": np.concatenate([np.hypot(noise, coloured), np.tile(sensors.noise, (len(left), 1))], axis=1),
             "unmodelled": np.sqrt(variance),
         }
         weight = np.concatenate([weight, np.tile(np.asarray(end.weight)[:, None], 6)], axis=1)
@@ -133,19 +143,19 @@ def judge(
     columns = [*(np.sqrt(mean[key]) for key in ("measured", "file", "found")), ratio, bound]
     table = [
         Row(name, unit, *(float(column[place]) for column in columns))
-        for place, (name, unit) in enumerate(labels(robot))
+        for place, (name, unit) in enumerate(labels(model.robot))
         if total[place] * PERIOD > LEAST_ROW
     ]
-    return Verdict(table, conflicts_of(found, names))
+    return Verdict(table, conflicts)
 
 
 def conflicts_of(found: Found, names: Sequence[str]) -> list[str]:
     """Return the names of numbers that lie beyond what the file's stated error allows, with their deviations."""
     half = np.sqrt(3.0) * np.where(found.prior > 0.0, found.prior, np.inf)
     beyond = (np.abs(found.value) - 2.0 * found.deviation) / half
-    return [
-        f"{names[place]} ({beyond[place]:.1f} times its prior)" for place in np.flatnonzero(beyond > BEYOND).tolist()
-    ]
+    places = np.flatnonzero(beyond > BEYOND).tolist()
+    ended = [f"the search's last step, of {found.moved:.1f} deviations,"] if found.moved > 1.0 else []
+    return [*(f"{names[place]} ({beyond[place]:.1f} times its prior)" for place in places), *ended]
 
 
 def labels(robot: RobotModel) -> list[tuple[str, str]]:
@@ -170,18 +180,75 @@ def measured(log: Samples) -> Array:
     return np.concatenate([log.linear_acceleration, turned, log.joint_acceleration], axis=1)
 
 
-def _turning(log: Samples) -> Array:
-    """Return the rate of turn by the gyroscope, from each sample to the next [rad/s, base axes]."""
-    gyro = np.asarray(log.gyro)
-    return np.concatenate([0.5 * (gyro[1:] + gyro[:-1]), gyro[-1:]])
-
-
 def _kinematic(log: Samples) -> Array:
     """Return by what rates of position and attitude differ from the measured ones (k, 6)."""
-    rotation = np.asarray(log.rotation)
-    turn = np.einsum("kba,kbc->kac", rotation[:-1], rotation[1:])
-    apart = np.concatenate([turn_of(turn) / PERIOD - _turning(log)[:-1], np.zeros((1, 3))])
-    return np.concatenate([np.asarray(log.position_rate) - np.asarray(log.linear_velocity), apart], axis=1)
+    apart = (log.position_rate - log.linear_velocity, log.turn_rate - log.gyro)
+    return np.concatenate([np.asarray(part) for part in apart], axis=1)
+
+
+class Sensors(NamedTuple):
+    """Comparison of velocities and gyroscope with position and attitude.
+
+    Attributes
+    ----------
+    noise
+        Deviation of their difference, but for what goes with the motion (6,) [m/s, rad/s].
+    acceleration
+        Variance that noise which is not white adds to accelerations (6,) [(m/s²)², (rad/s²)²].
+    """
+
+    conflicts: list[str]
+    noise: Array
+    acceleration: Array
+
+
+def compare_rates(log: Samples, more: Samples) -> Sensors:
+    """Return what sensors say of each other; `more` has its white noise twice."""
+    apart, weight = _kinematic(log), np.asarray(log.weight) > 0.0
+    white = np.where(weight[:, None], _kinematic(more) - apart, 0.0)
+    rest, scales, shares, conflicts = np.zeros_like(apart), [], [], []
+    for part, names, rate, change in (
+        (slice(0, 3), ("velocity", "position"), log.linear_velocity, log.linear_acceleration),
+        (slice(3, 6), ("the gyroscope", "attitude"), log.gyro, log.gyro_rate),
+    ):
+        scale, late, rest[:, part] = _coherent(apart[:, part], np.asarray(rate), np.asarray(change), weight)
+        scales.append(scale)
+        # Noise in the rate itself makes its scale seem less: no more than twice its share in both.
+        shares.append(2.0 * np.sum(rest[weight, part] ** 2) / np.sum(np.asarray(rate)[weight] ** 2))
+        if abs(late[0]) > max(AGREE[1], SEEN * late[1]):
+            conflicts.append(f"{names[1]} {-1e3 * late[0]:.0f} ms later than {names[0]}")
+    known = np.array([deviation**-2 for _, deviation in scales])
+    clock = float(known @ [scale for scale, _ in scales] / known.sum())
+    if abs(clock) > max(AGREE[0], SEEN * known.sum() ** -0.5, float(known @ shares / known.sum())):
+        conflicts.append(f"a clock, or rates, {-100.0 * clock:.2g} % fast")
+    noise = np.minimum(np.sqrt(np.mean(rest[weight] ** 2, axis=0)), np.repeat(COLOURED, 3))
+    power, of_white = (np.abs(np.fft.rfft(part, axis=0)) ** 2 for part in (rest, white))
+    rates = 2.0 * np.pi * np.fft.rfftfreq(len(rest), PERIOD)[:, None]
+    excess = np.sum(rates**2 * np.maximum(power - of_white, 0.0), axis=0) * 2.0 / (len(rest) * weight.sum())
+    is_coloured = power.sum(axis=0) > 1.5 * of_white.sum(axis=0)
+    share = noise**2 / np.maximum(np.mean(rest[weight] ** 2, axis=0), 1e-30)
+    return Sensors(conflicts, noise, np.where(is_coloured, share * excess, 0.0))
+
+
+def _coherent(apart: Array, rate: Array, change: Array, weight: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Return scale and delay of a difference of rates, each with its deviation, and what goes with neither (k, 3).
+
+    `apart = A rate + delay change + offset`; the scale is the mean of A's diagonal.
+    """
+    eye = np.eye(3)
+    columns = [np.einsum("a,kb->kab", eye[row], rate)[..., place] for row in range(3) for place in range(3)]
+    columns += [change, *(np.broadcast_to(axis, rate.shape) for axis in eye)]
+    by = np.stack(columns, axis=-1)
+    some = by[weight].reshape(-1, by.shape[-1])
+    inverse = np.linalg.pinv(some.T @ some + 1e-9 * np.eye(by.shape[-1]))
+    fit = inverse @ (some.T @ apart[weight].reshape(-1))
+    rest = np.where(weight[:, None], apart - by @ fit, 0.0)
+    variance = 2.0 * np.sum(rest**2) / max(3 * weight.sum() - len(fit), 1)  # neighbours are not independent
+    mean = np.zeros((2, len(fit)))
+    mean[0, [0, 4, 8]], mean[1, 9] = 1.0 / 3.0, 1.0
+    deviations = np.sqrt(variance * np.einsum("ap,pq,aq->a", mean, inverse, mean))
+    scale, late = np.stack([mean @ fit, deviations], axis=1)
+    return scale, late, rest
 
 
 # Usual mistakes ------------------------------------------------------------------------------------------------------
@@ -279,10 +346,10 @@ def _upside_down(signals: Signals, base: bool) -> Signals:
     return {**signals, **changed, "raw_base_rotation": rotation, "raw_base_velocity": velocity}
 
 
-def score(robot: RobotModel, aero: AeroModel, numbers: Numbers, log: Samples) -> float:
+def score(model: Model, numbers: Numbers, log: Samples) -> float:
     """Return how badly numbers explain a log: the logarithm of what every row leaves and of what no number explains."""
-    left = identify.unexplained(robot, aero, numbers, log)
-    variance = identify.unmodelled_variance(robot, np.zeros_like(left))[0]
+    left = identify.unexplained(model, numbers, log)
+    variance = identify.unmodelled_variance(model.robot, np.zeros_like(left))[0]
     squares = np.concatenate(
         [np.mean(left**2, axis=0) + variance, np.mean(_kinematic(log) ** 2, axis=0) + np.repeat(KINEMATIC, 3) ** 2]
     )

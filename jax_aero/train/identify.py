@@ -1,20 +1,26 @@
 """Numbers of a robot from its logs: maximum a posteriori over the equations of motion, in the frequency domain.
 
-    r(t, θ) = M ν̇ + h − Sτ + friction − Σ Jᵀ g T a − air        what acts on the robot unexplained, all 6 + n rows
+    r(t, θ) = M ν̇ + h − S g τ + friction − Σ Jᵀ g T a − air      what acts on the robot unexplained, all 6 + n rows
     minimise  Σ_f |r̂(f, θ)|² / S(f) + ½ |θ/σ|²                   r̂ the transform of the tapered r, S its spectrum
 
 `θ` are differences from the robot's file, `σ` their prior deviations. Derivatives of the residual are JAX's; `S`, the
-noise of each row, is estimated with `θ` in bands of frequency, which share the degrees of freedom that `θ` takes.
+noise of each row, is estimated with `θ` in bands of frequency, which share the degrees of freedom that `θ` takes. Every
+body's mass is distributed as in the file, after an affine map of its place, so that it stays physical.
 
-Source: equation-error method in the frequency domain; Klein and Morelli, *Aircraft System Identification*, 2nd ed.,
-chapter 7.
+Noise of measurements that numbers multiply biases them, as it is least where they are small; its mean share of the
+gradient, of thrusts in their gains and of the base's accelerations in the mass matrix M, is taken off:
+
+    b_j = Σ_f σ²(f) / S(f) ∂/∂θ_j ½ |∂r/∂a|²                    a what has the noise, of spectrum σ²
+
+Sources: equation-error method in the frequency domain; Klein and Morelli, *Aircraft System Identification*, 2nd ed.,
+chapter 7. Noise: Söderström, *Errors-in-Variables Methods in System Identification*, 2018, chapter 7. Bodies: Rucker
+and Wensing, "Smooth parameterization of rigid-body inertia", RA-L 2022, here about the centre of mass.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -25,9 +31,9 @@ from jaxtyping import Complex, Float
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
 from jax_aero.body.dynamics import dynamics
-from jax_aero.body.kinematics import generalised_thrust, kinematics
+from jax_aero.body.kinematics import generalised_thrust, kinematics, kinematics_at_rest
 from jax_aero.body.robot import RobotModel
-from jax_aero.body.spatial import exp_so3
+from jax_aero.body.spatial import cross, exp_so3, rotate, trace
 from jax_aero.types import Array, State
 
 SLIP = 0.03
@@ -36,42 +42,72 @@ MOVING = 0.15
 """Velocity above which a joint does not stick [rad/s]; between it and `SLIP` friction depends on how it trembles."""
 FREQUENCY = 2.0
 """Highest frequency of the residual that is used [Hz]: above it sensors and drives are noise."""
+WIDTH = 0.05
+"""Standard deviation of the Gaussian that smooths all signals alike [s]."""
 BAND = 12
 """Frequencies in which a row's noise is taken as white."""
 TAPER = 0.1
 """Share of a log at its ends over which the residual rises and falls."""
-COARSE, WEIGHED = 4, 5
-"""The residual, nearly linear, is linearised in every fourth sample, then in all; how often its noise is estimated."""
+COARSE, WEIGHED = 4, 4
+"""The search begins with every fourth sample; how often the noise is estimated in every linear problem."""
+STEPS, LINEARISED, CONVERGED, STALLED = 16, 8, 0.05, 0.5
+"""Most steps of the search and most linearisations, deviations by which the last step moves a number at most, and the
+share of a step from which the next one is linearised anew."""
 UNMODELLED = (7e-4, 4.3e-4, 8.5e-4)
 """Deviation, in every sample, of forces and moments on the base and of torques that no number explains, as shares of
 the weight and of the weight at the radius of gyration. Ours: of drawn robots' residuals at their truth."""
-COHERENT = 2.2e-4
-"""Deviation of the whole robot's centre of mass that such air imitates [m], since it moves with the robot; ours, of
-drawn robots, whose base seems 3 mm higher in a network's air than in the controller's own."""
-AIR = (0.3, 0.4)
-"""Share of the air's force in every frequency that no factor of a link explains, and its lever arm over the radius of
-gyration: what an analytical model leaves of a network."""
+COHERENT, COHERENT_INERTIA = 2.2e-4, 0.015
+"""Deviation of the whole robot's centre of mass [m], and of the factor of inertias, that such air imitates, since it
+moves with the robot; ours, of drawn robots, whose base seems 3 mm higher in a network's air."""
+AIR = (0.3, 0.4, 0.15)
+"""Share of the air's force in every frequency that no factor of a link explains, and its lever arms over the radius of
+gyration, about the base and about joints: what an analytical model leaves of a network."""
+LATE = 1e-3
+"""Deviation of the delay of torques that jitter and held commands imitate [s]; ours, of drawn robots."""
 CHUNK = 50
 """Samples whose derivatives are computed at once; bounds the memory."""
+
+
+class Model(NamedTuple):
+    """What the numbers are differences of.
+
+    Attributes
+    ----------
+    posture
+        Joint positions at which `com` and `inertia` are those of the whole robot (n,) [rad, m].
+    """
+
+    robot: RobotModel
+    aero: AeroModel
+    posture: Float[Any, " n"]
 
 
 class Numbers(NamedTuple):
     """Numbers of a robot that a log may determine; zero is what its file states."""
 
     mass: Float[Any, ""]
-    """Of all masses and inertias, relative."""
+    """Of the whole mass, and of all inertias with it, relative."""
     com: Float[Any, "3"]
-    """Offset of the base body's centre of mass [m]."""
+    """Offset of the base body's centre of mass that gives the robot its own, if other bodies are the file's [m]."""
     inertia: Float[Any, ""]
-    """Of all inertias beside that of the masses, relative."""
+    """Of all inertias about bodies' centres beside their masses, which gives the robot's, likewise; relative."""
+    bodies: Float[Any, "nb 10"]
+    """Of each body among the others: logarithm of its mass, place of its centre [m, body axes], and logarithms of
+    three sizes and three shears (zx, zy, yx) of its mass about it."""
+    fuel: Float[Any, ""]
+    """Mass that the heaviest body loses by the impulse of all jets [kg/(N s)]."""
     thrust_gain: Float[Any, " j"]
     """Of the force of each jet over its thrust, relative."""
     thrust_offset: Float[Any, " j"]
     """Offset of the measured thrusts [N]."""
     thrust_axes: Float[Any, "j 2"]
     """Tilt of each jet about two axes across its thrust, of which `across` gives the directions [rad]."""
+    torque_gain: Float[Any, " g"]
+    """Of the torque that acts over the measured one, by group of joints, relative."""
     imu: Float[Any, "3"]
     """Rotation of the measured base from the true one, base axes [rad]."""
+    gyro: Float[Any, "3"]
+    """Rotation of the gyroscope from the base, base axes [rad]."""
     encoders: Float[Any, " n"]
     """Offset of the measured joint positions [rad, m]."""
     friction: Float[Any, " n"]
@@ -80,6 +116,10 @@ class Numbers(NamedTuple):
     """Viscous friction of all drives [N m s]."""
     air: Float[Any, " l"]
     """Of the force of the air on each link, relative."""
+    air_turn: Float[Any, "l 3"]
+    """Rotation of this force, axes of the link's body [rad]."""
+    air_point: Float[Any, "l 3"]
+    """Offset of its point, the same axes [m]."""
     wrench: Float[Any, "6"]
     """Constant force and moment on the base that nothing else explains [N, N m]."""
     wind: Float[Any, "3"]
@@ -93,8 +133,12 @@ class Samples(NamedTuple):
 
     weight: Float[Any, " k"]
     """1, or 0 in samples that the equations do not cover."""
+    burnt: Float[Any, " k"]
+    """Impulse of all jets until then [N s]."""
     position_rate: Float[Any, "k 3"]
     """Derivative of the measured position of the base [m/s]."""
+    turn_rate: Float[Any, "k 3"]
+    """That of the measured attitude [rad/s, base axes]."""
     rotation: Float[Any, "k 3 3"]
     linear_velocity: Float[Any, "k 3"]
     linear_acceleration: Float[Any, "k 3"]
@@ -106,6 +150,10 @@ class Samples(NamedTuple):
     joint_acceleration: Float[Any, "k n"]
     thrust: Float[Any, "k j"]
     thrust_rate: Float[Any, "k j"]
+    thrust_noise: Float[Any, "k j"]
+    """Noise in thrusts, as the root of its spectrum: white noise from sample to sample has its deviation [N]."""
+    velocity_noise: Float[Any, "k 6"]
+    """That of velocities and rates of turn, whose derivatives are smoothed [m/s, rad/s]."""
     torque: Float[Any, "k n"]
     torque_rate: Float[Any, "k n"]
     wind: Float[Any, "k 3"]
@@ -127,6 +175,8 @@ class Found(NamedTuple):
     held_out
         Of every log that was held out: what the numbers of the others leave, its deviation by what is unknown of them,
         and the weights of the rows, each (k, 6 + n).
+    moved
+        Deviations by which the last step of the search moved a number.
     """
 
     value: Float[np.ndarray, " p"]
@@ -135,6 +185,7 @@ class Found(NamedTuple):
     covariance: Float[np.ndarray, "p p"]
     residuals: list[tuple[np.ndarray, np.ndarray]]
     held_out: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+    moved: float = 0.0
 
     @property
     def share(self) -> Float[np.ndarray, " p"]:
@@ -157,58 +208,104 @@ def across(axis: Float[Array, "3"]) -> Float[Array, "3 2"]:
     return jnp.stack([first, jnp.cross(axis, first)], axis=1)
 
 
-def robot_with(robot: RobotModel, numbers: Numbers) -> RobotModel:
-    """Return the robot with these differences of masses, centre of mass, inertias and thrust axes."""
+def robot_with(model: Model, numbers: Numbers) -> RobotModel:
+    """Return the robot with these differences of masses, centres of mass, inertias and thrust axes."""
+    robot, bodies = model.robot, jnp.asarray(numbers.bodies)
     axes = jax.vmap(lambda axis, tilt: exp_so3(across(axis) @ tilt) @ axis)(
         jnp.asarray(robot.jets.axes), jnp.asarray(numbers.thrust_axes)
     )
-    return replace(
-        robot,
-        masses=robot.masses * (1.0 + numbers.mass),
-        inertias=robot.inertias * (1.0 + numbers.mass) * (1.0 + numbers.inertia),
-        coms=jnp.asarray(robot.coms).at[0].add(numbers.com),
-        jets=replace(robot.jets, axes=axes),
-    )
+    kin = kinematics_at_rest(robot, jnp.asarray(model.posture))
+    before = jnp.asarray(robot.masses)
+    masses = before * jnp.exp(bodies[:, 0])
+    masses = masses * ((1.0 + numbers.mass) * before.sum() / masses.sum())
+    # Second moments Σ = tr(I)/2 1 − I of a body's mass about its centre, mapped by x -> F x.
+    mapped = jnp.exp(bodies[:, 4:7])[:, None, :] * jnp.eye(3)
+    mapped = mapped.at[:, [0, 1, 0], [2, 2, 1]].set(bodies[:, 7:])
+    second = mapped @ _opposite(jnp.asarray(robot.inertias), 0.5) @ jnp.swapaxes(mapped, -1, -2)
+    inertias = (masses / jnp.where(before > 0.0, before, 1.0))[:, None, None] * _opposite(second, 1.0)
+
+    def places(coms: Array) -> Array:
+        found: Array = kin.body_positions + rotate(kin.body_rotations, coms)
+        return found
+
+    wanted = (1.0 + numbers.mass) * (before @ places(jnp.asarray(robot.coms)) + before[0] * numbers.com)
+    coms = jnp.asarray(robot.coms) + bodies[:, 1:4]
+    coms = coms.at[0].add((wanted - masses @ places(coms)) / masses[0])
+
+    def spread(masses: Array, coms: Array) -> Array:
+        apart: Array = places(coms) - masses @ places(coms) / masses.sum()
+        return jnp.sum(masses * jnp.sum(apart**2, axis=1))
+
+    moved = jnp.asarray(robot.coms).at[0].add(numbers.com)
+    own = (1.0 + numbers.inertia) * trace(jnp.asarray(robot.inertias)).sum() + 2.0 * spread(before, moved)
+    factor = ((1.0 + numbers.mass) * own - 2.0 * spread(masses, coms)) / trace(inertias).sum()
+    return replace(robot, masses=masses, coms=coms, inertias=factor * inertias, jets=replace(robot.jets, axes=axes))
 
 
-def unexplained(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N"]:
+def _opposite(moments: Float[Array, "nb 3 3"], share: float) -> Float[Array, "nb 3 3"]:
+    """Return `share tr(A) 1 − A`: of inertias and 1/2 second moments, of these and 1 inertias."""
+    found: Array = share * trace(moments)[:, None, None] * jnp.eye(3) - moments
+    return found
+
+
+def unexplained(model: Model, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N"]:
     """Return what acts on the robot unexplained in every sample: on the base about its origin, and on the joints."""
-    return _by_chunks(lambda part: _residuals(robot, aero, numbers, part)[0], samples)
+    return _by_chunks(lambda part: _residuals(model, numbers, part)[0], samples)
 
 
 def air_of(
-    robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples, left: Float[np.ndarray, "k N"]
+    model: Model, numbers: Numbers, samples: Samples, left: Float[np.ndarray, "k N"]
 ) -> Float[np.ndarray, "k N"]:
     """Return the forces of the air, without which so much more than `left` is unexplained."""
     without = numbers._replace(air=-jnp.ones_like(jnp.asarray(numbers.air)))
-    air: np.ndarray = unexplained(robot, aero, without, samples) - left
+    air: np.ndarray = unexplained(model, without, samples) - left
     return air
 
 
-def mass_matrices(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N N"]:
-    """Return the mass matrix of every sample."""
-    return _by_chunks(lambda part: _residuals(robot, aero, numbers, part)[1], samples)
+def mass_matrices(model: Model, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N N"]:
+    """Return the mass matrix of every sample, over the mass's factor."""
+    return _by_chunks(lambda part: _residuals(model, numbers, part)[1], samples)
 
 
-def _inertial(robot: RobotModel, aero: AeroModel, numbers: Numbers, now: Samples) -> tuple[Array, Array]:
-    """Return what is unexplained in one sample, and the mass matrix."""
-    robot = robot_with(robot, numbers)
+def _inertial(model: Model, robot: RobotModel, numbers: Numbers, now: Samples) -> tuple[Array, Array]:
+    """Return what is unexplained in one sample, and the mass matrix, of a robot with its masses and axes as found.
+
+    Both are over the mass's factor: noise would make everything small that multiplies it.
+    """
+    burnt = numbers.fuel * now.burnt / robot.masses.max()
+    robot = replace(
+        robot,
+        masses=jnp.where(robot.masses == robot.masses.max(), 1.0 - burnt, 1.0) * robot.masses,
+        inertias=jnp.where(robot.masses == robot.masses.max(), 1.0 - burnt, 1.0)[:, None, None] * robot.inertias,
+    )
     rotation = now.rotation @ exp_so3(-numbers.imu)
-    velocity = jnp.concatenate([now.linear_velocity, rotation @ now.gyro, now.joint_velocity])
-    acceleration = jnp.concatenate([now.linear_acceleration, rotation @ now.gyro_rate, now.joint_acceleration])
+    base_from_gyro = rotation @ exp_so3(-numbers.gyro)
+    velocity = jnp.concatenate([now.linear_velocity, base_from_gyro @ now.gyro, now.joint_velocity])
+    acceleration = jnp.concatenate([now.linear_acceleration, base_from_gyro @ now.gyro_rate, now.joint_acceleration])
     state = State(jnp.zeros(3), rotation, now.joint_position - numbers.encoders, velocity)
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
-    links = link_forces(aero, robot, kin, LinkConventions(), now.wind + numbers.wind)
-    links = links._replace(forces=(1.0 + numbers.air)[:, None] * links.forces)
-    air = generalised_aero_force(robot, kin, links, links.arm_points)
+    links = link_forces(model.aero, robot, kin, LinkConventions(), now.wind + numbers.wind)
+    carriers = kin.body_rotations[np.array(robot.aero_links.bodies, dtype=int)]
+    turned = links.forces + cross(rotate(carriers, numbers.air_turn), links.forces)
+    links = links._replace(forces=(1.0 + numbers.air)[:, None] * turned)
+    air = generalised_aero_force(robot, kin, links, links.arm_points + rotate(carriers, numbers.air_point))
     measured = now.thrust - numbers.delay[0] * now.thrust_rate - numbers.thrust_offset
     thrust = generalised_thrust(robot, kin, (1.0 + numbers.thrust_gain) * measured)
     slipping = now.joint_velocity / jnp.sqrt(now.joint_velocity**2 + SLIP**2)
-    drive = now.torque - numbers.delay[1] * now.torque_rate
+    drive = (1.0 + of_joints(robot, numbers.torque_gain)) * (now.torque - numbers.delay[1] * now.torque_rate)
     drive = drive - numbers.friction * slipping - numbers.damping * now.joint_velocity
     acting = thrust + air + now.feet + jnp.concatenate([numbers.wrench, drive])
-    return dyn.mass_matrix @ acceleration + dyn.bias - acting, dyn.mass_matrix
+    factor = 1.0 + numbers.mass
+    return (dyn.mass_matrix @ acceleration + dyn.bias - acting) / factor, dyn.mass_matrix / factor
+
+
+def of_joints(robot: RobotModel, groups: Float[Array, " g"]) -> Float[Array, " n"]:
+    """Return the numbers of the groups for each of their joints."""
+    found = jnp.zeros(robot.n_joints)
+    for place, (_, joints) in enumerate(robot.joint_groups):
+        found = found.at[np.array(joints, dtype=int)].set(groups[place])
+    return found
 
 
 def scale_of(robot: RobotModel) -> tuple[float, float]:
@@ -219,19 +316,21 @@ def scale_of(robot: RobotModel) -> tuple[float, float]:
 
 
 def unmodelled_variance(
-    robot: RobotModel, air: Float[np.ndarray, "f N"], unmodelled: tuple[float, float, float] = UNMODELLED
+    robot: RobotModel,
+    air: Float[np.ndarray, "f N"],
+    unmodelled: tuple[float, float, float] = UNMODELLED,
 ) -> Float[np.ndarray, "f N"]:
     """Return the mean square of every row that no number explains, where the air acts with these forces."""
     weight, radius = scale_of(robot)
     white = np.repeat(weight * np.array([1.0, radius, radius]) * unmodelled, [3, 3, robot.n_joints])
-    of_air = np.abs(air) ** 2
-    of_air[:, 3:6] += (AIR[1] * radius) ** 2 * of_air[:, :3].sum(axis=1, keepdims=True)
-    return np.asarray(white**2 + AIR[0] ** 2 * of_air)
+    of_air = AIR[0] ** 2 * np.abs(air) ** 2
+    of_air[:, :3] = of_air[:, :3].sum(axis=1, keepdims=True)  # lift too, which drag alone lacks
+    of_air[:, 3:] += (radius * np.repeat(AIR[1:], [3, robot.n_joints])) ** 2 * of_air[:, :1]
+    return np.asarray(white**2 + of_air)
 
 
 def estimate(
-    robot: RobotModel,
-    aero: AeroModel,
+    model: Model,
     logs: Sequence[Samples],
     period: float,
     prior: Numbers,
@@ -254,6 +353,7 @@ def estimate(
     known
         Number of the first samples of every log that predict the others; the numbers are then those of all.
     """
+    robot = model.robot
     widths, unravel = ravel_pytree(prior)
     width: np.ndarray = np.asarray(widths, dtype=float)
     free = np.flatnonzero(width > 0.0)
@@ -261,18 +361,36 @@ def estimate(
     chosen = tuple(free.tolist())
     counts = [len(one.weight) for one in logs]
     known = counts if known is None else known
-    theta = np.zeros(width.size)
-    before = [unexplained(robot, aero, unravel(jnp.asarray(theta)), one) for one in logs]
     rows = [_moving(one) for one in logs]
+    index = unravel(jnp.arange(width.size, dtype=float))
+    gains, offsets = (
+        np.searchsorted(free, np.asarray(part, dtype=int)) if np.all(np.isin(part, free)) else np.zeros(0, dtype=int)
+        for part in (index.thrust_gain, index.thrust_offset)
+    )
+    if not (gains.size and offsets.size):
+        gains = offsets = np.zeros(0, dtype=int)
 
-    def solve(start: Any, linear: Any, counts: Sequence[int], step: int = 1) -> tuple[Any, Any]:
+    def left_of(theta: Any, some: Sequence[Samples]) -> list[np.ndarray]:
+        return [unexplained(model, unravel(jnp.asarray(theta)), one) for one in some]
+
+    def solve(start: Any, lefts: Any, linear: Any, counts: Sequence[int], step: int) -> tuple[Any, Any]:
         """Return numbers and their covariance in units of the prior, from the first samples of every log."""
         spectra = []
-        for (left, slopes, air), weights, count in zip(linear, rows, counts, strict=True):
+        noises = [np.asarray(one.thrust_noise) for one in logs]
+        of_mass = _by_mass(model, unravel(jnp.asarray(start)), logs[0], chosen)
+        for one, left, (slopes, air), weights, noise, count in zip(
+            logs, lefts, linear, rows, noises, counts, strict=True
+        ):
             if count:
                 window, end = weights[:count:step], -(-count // step)
-                left, by, of_air = _transformed(window, left[:end], slopes[:end], air[:end], step * period)
-                spectra.append((left, by, unmodelled_variance(robot, of_air, unmodelled)))
+                by_thrust = window[:, :, None] * slopes[:end][:, :, offsets]
+                left, by, spread = _transformed(
+                    model.robot, window, left[:end], slopes[:end], air[:end], step * period, unmodelled
+                )
+                spectrum = _of_accelerations(np.asarray(one.velocity_noise)[0], len(left), step * period * end)
+                share = _taper(end) ** 2 / np.sum(_taper(end) ** 2)
+                noisy = np.einsum("k,kij,kj->ij", share, by_thrust**2, noise[:count:step][:, : len(offsets)] ** 2)
+                spectra.append((left, by, spread, noisy, (share @ window**2, spectrum)))
         theta = start.copy()
         covariance: np.ndarray = np.zeros((sigma.size, sigma.size))
         for _ in range(WEIGHED):
@@ -282,62 +400,104 @@ def estimate(
                 by_mass = sigma[0] * mass / weighed[1]
                 information[0, 0] += by_mass**2
                 slope[0] += by_mass * (weighed[0] - mass * (1.0 + theta[0])) / weighed[1]
-            for left, by, variance in spectra:
+            for left, by, variance, noisy, (covered, spectrum) in spectra:
                 added = _information(left + by @ (theta - start)[free], sigma * by, variance, covariance)
                 information, slope = information + added[0], slope - added[1]
+                # Noise of thrusts multiplies their gains, and that of accelerations masses, arms and inertias: without
+                # what it adds to the residual in the mean, it would make them small.
+                slope[gains] += sigma[gains] * (added[2].sum(axis=0) @ noisy)
+                slope += sigma * np.tensordot((added[2] * covered).T @ spectrum, of_mass, 2)
             covariance = np.linalg.inv(information)
             theta[free] += sigma * (covariance @ slope)
         return theta, covariance
 
-    def linear(theta: Any, counts: Sequence[int], step: int = 1) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        guess, found = unravel(jnp.asarray(theta)), []
-        for one, count in zip(logs, counts, strict=True):
-            part = Samples(*(rows[: max(count, 1) : step] for rows in one))
-            left = unexplained(robot, aero, guess, part)
-            found.append((left, _slopes(robot, aero, guess, part, chosen), air_of(robot, aero, guess, part, left)))
-        return found
+    def search(theta: Any, counts: Sequence[int], step: int) -> tuple[Any, Any, Any, float]:
+        """Return numbers, their covariance, slopes at the last linearisation, and the last step in deviations.
 
-    theta, _ = solve(theta, linear(theta, known, COARSE), known, COARSE)
-    start, whole = theta, linear(theta, counts)
-    theta, covariance = solve(start, whole, known)
+        Slopes are kept as long as steps with them become shorter.
+        """
+        some = [
+            Samples(*(part[: max(count, 1) : step] for part in one)) for one, count in zip(logs, counts, strict=True)
+        ]
+        linear: Any = None
+        moved, linearised = np.inf, 0
+        for _ in range(STEPS):
+            lefts = left_of(theta, some)
+            if linear is None:
+                guess = unravel(jnp.asarray(theta))
+                linear = [
+                    (_slopes(model, guess, one, chosen), air_of(model, guess, one, left))
+                    for one, left in zip(some, lefts, strict=True)
+                ]
+                linearised += 1
+            before, (theta, covariance) = theta, solve(theta, lefts, linear, counts, step)
+            last, moved = moved, _deviations((theta - before)[free], sigma, covariance)
+            if moved < CONVERGED:
+                break
+            if moved > STALLED * last:  # as of drag in a wind that is to be found, whose slope changes with it
+                theta = 0.5 * (theta + before)
+                linear = None if linearised < LINEARISED else linear
+        return theta, covariance, linear, moved
+
+    theta, *_ = search(np.zeros(width.size), known, COARSE)
+    theta, covariance, linear, moved = search(theta, counts, 1)
     held_out = []
-    for (left, slopes, _), weights, count in zip(whole, rows, known, strict=True):
-        by = sigma * slopes[count:]
-        spread = np.sqrt(np.sum(by * (by @ covariance), axis=-1))
-        held_out.append((left[count:] + slopes[count:] @ (theta - start)[free], spread, weights[count:]))
-    theta, covariance = solve(start, whole, counts)
-    after = [left + slopes @ (theta - start)[free] for left, slopes, _ in whole]
+    if any(count < len(one) for count, one in zip(known, rows, strict=True)):
+        predicted, unknown = theta, covariance
+        for _ in range(2):
+            predicted, unknown = solve(predicted, left_of(predicted, logs), linear, known, 1)
+        for left, (slopes, *_), weights, count in zip(left_of(predicted, logs), linear, rows, known, strict=True):
+            by = sigma * slopes[count:]
+            held_out.append((left[count:], np.sqrt(np.sum(by * (by @ unknown), axis=-1)), weights[count:]))
+    else:
+        held_out = [(left[:0], left[:0], left[:0]) for left in rows]
     full = np.zeros((width.size, width.size))
     full[np.ix_(free, free)] = covariance * np.outer(sigma, sigma)
-    of_air = unravel(jnp.zeros(width.size))._replace(com=jnp.full(3, COHERENT * np.sum(robot.masses) / robot.masses[0]))
-    full += np.diag(np.where(width > 0.0, ravel_pytree(of_air)[0], 0.0) ** 2)
-    return Found(theta, np.sqrt(np.diag(full)), width, full, list(zip(before, after, strict=True)), held_out)
+    imitated = unravel(jnp.zeros(width.size))._replace(
+        com=jnp.full(3, COHERENT * np.sum(robot.masses) / robot.masses[0]),
+        inertia=jnp.array(COHERENT_INERTIA),
+        delay=jnp.array([0.0, LATE]),
+    )
+    full += np.diag(np.where(width > 0.0, ravel_pytree(imitated)[0], 0.0) ** 2)
+    residuals = list(zip(left_of(0.0 * theta, logs), left_of(theta, logs), strict=True))
+    return Found(theta, np.sqrt(np.diag(full)), width, full, residuals, held_out, moved)
 
 
-def expected(
-    robot: RobotModel, aero: AeroModel, numbers: Numbers, found: Found, log: Samples, period: float
-) -> Float[np.ndarray, " p"]:
+def _of_accelerations(noise: np.ndarray, size: int, duration: float) -> Float[np.ndarray, "f 6"]:
+    """Return the spectrum of the noise of the base's accelerations, of white noise of its velocities."""
+    rates = 2.0 * np.pi * np.arange(size)[:, None] / duration
+    found: np.ndarray = (noise * rates) ** 2 * np.exp(-((rates * WIDTH) ** 2))
+    return found
+
+
+def _deviations(step: np.ndarray, sigma: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the greatest of a step's parts in deviations."""
+    return float(np.max(np.abs(step) / (sigma * np.sqrt(np.diag(covariance))), initial=0.0))
+
+
+def expected(model: Model, numbers: Numbers, found: Found, log: Samples, period: float) -> Float[np.ndarray, " p"]:
     """Return the standard deviations after one more log, of which the motion alone counts (p,).
 
     `numbers` are about the values of `found`. The noise is white and as large as what these leave of their last log.
     """
     free = np.flatnonzero(found.prior > 0.0)
     sigma = found.prior[free]
-    slopes, left = _slopes(robot, aero, numbers, log, tuple(free.tolist())), unexplained(robot, aero, numbers, log)
-    _, by, air = _transformed(_moving(log), left, slopes, air_of(robot, aero, numbers, log, left), period)
+    slopes, left = _slopes(model, numbers, log, tuple(free.tolist())), unexplained(model, numbers, log)
+    air = air_of(model, numbers, log, left)
+    _, by, spread = _transformed(model.robot, _moving(log), left, slopes, air, period)
     noise = np.broadcast_to(np.std(found.residuals[-1][1], axis=0), by.shape[:2])
-    added, _ = _information(noise, sigma * by, unmodelled_variance(robot, air), np.zeros((free.size, free.size)))
+    added, *_ = _information(noise, sigma * by, spread, np.zeros((free.size, free.size)))
     known = np.linalg.inv(found.covariance[np.ix_(free, free)] / np.outer(sigma, sigma))
     after = np.zeros(found.prior.size)
     after[free] = sigma * np.sqrt(np.diag(np.linalg.inv(known + added)))
     return after
 
 
-def _slopes(
-    robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples, chosen: tuple[int, ...]
-) -> Float[np.ndarray, "k N p"]:
+def _slopes(model: Model, numbers: Numbers, samples: Samples, chosen: tuple[int, ...]) -> Float[np.ndarray, "k N p"]:
     """Return the derivatives of what is unexplained with respect to the chosen numbers."""
-    return _by_chunks(lambda part: _derivatives(robot, aero, numbers, part, chosen), samples)
+    by_parts = np.asarray(_by_numbers(model, numbers))[:, list(chosen)]
+    slopes = _by_chunks(lambda part: _derivatives(model, numbers, part), samples)
+    return np.asarray(slopes[..., : len(by_parts)] @ by_parts + slopes[..., len(by_parts) :][..., list(chosen)])
 
 
 def _by_chunks(function: Callable[[Samples], Array], samples: Samples) -> np.ndarray:
@@ -354,22 +514,58 @@ def _by_chunks(function: Callable[[Samples], Array], samples: Samples) -> np.nda
 
 
 @jax.jit
-def _residuals(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> tuple[Array, Array]:
-    return jax.vmap(lambda now: _inertial(robot, aero, numbers, now))(samples)
+def _residuals(model: Model, numbers: Numbers, samples: Samples) -> tuple[Array, Array]:
+    robot = robot_with(model, numbers)
+    return jax.vmap(lambda now: _inertial(model, robot, numbers, now))(samples)
 
 
-@partial(jax.jit, static_argnames="chosen")
-def _derivatives(
-    robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples, chosen: tuple[int, ...]
-) -> Float[Array, "k N p"]:
+def _parts(robot: RobotModel) -> tuple[Array, Array, Array, Array]:
+    """Return what of a robot depends on numbers."""
+    return robot.masses, robot.coms, robot.inertias, robot.jets.axes
+
+
+@jax.jit
+def _by_numbers(model: Model, numbers: Numbers) -> Float[Array, "e p"]:
+    """Return the derivatives of the robot's parts by all numbers."""
     whole, unravel = ravel_pytree(numbers)
-    places = np.array(chosen)
+    found: Array = jax.jacfwd(lambda theta: ravel_pytree(_parts(robot_with(model, unravel(theta))))[0])(whole)
+    return found
+
+
+@jax.jit
+def _of_mass(model: Model, numbers: Numbers, now: Samples) -> Float[Array, "N 6 p"]:
+    whole, unravel = ravel_pytree(numbers)
+
+    def columns(theta: Array) -> Array:
+        guess = unravel(theta)
+        found: Array = _inertial(model, robot_with(model, guess), guess, now)[1][:, :6]
+        return found
+
+    by: Array = jax.jacfwd(columns)(whole)
+    return columns(whole)[..., None] * by
+
+
+def _by_mass(model: Model, numbers: Numbers, samples: Samples, chosen: tuple[int, ...]) -> Float[np.ndarray, "N 6 p"]:
+    """Return the derivatives of half of the squares of the mass matrix's first columns, in the middle of a log."""
+    middle = Samples(*(jnp.asarray(part[len(part) // 2]) for part in samples))
+    return np.asarray(_of_mass(model, numbers, middle))[..., list(chosen)]
+
+
+@jax.jit
+def _derivatives(model: Model, numbers: Numbers, samples: Samples) -> Float[Array, "k N q"]:
+    """Return the derivatives of the residual by the robot's parts, then by the numbers themselves."""
+    robot = robot_with(model, numbers)
+    parts, of_parts = ravel_pytree(_parts(robot))
+    whole, of_numbers = ravel_pytree(numbers)
 
     def one(now: Samples) -> Any:
-        def of(part: Array) -> Array:
-            return _inertial(robot, aero, unravel(whole.at[places].set(part)), now)[0]
+        def of(both: Array) -> Array:
+            masses, coms, inertias, axes = of_parts(both[: parts.size])
+            jets = replace(robot.jets, axes=axes)
+            other = replace(robot, masses=masses, coms=coms, inertias=inertias, jets=jets)
+            return _inertial(model, other, of_numbers(both[parts.size :]), now)[0]
 
-        return jax.jacfwd(of)(whole[places])
+        return jax.jacrev(of)(jnp.concatenate([parts, whole]))
 
     found: Array = jax.vmap(one)(samples)
     return found
@@ -388,19 +584,25 @@ def _moving(samples: Samples) -> Float[np.ndarray, "k N"]:
 
 
 def _transformed(
+    robot: RobotModel,
     weights: Float[np.ndarray, "k N"],
     left: Float[np.ndarray, "k N"],
     slopes: Float[np.ndarray, "k N p"],
     air: Float[np.ndarray, "k N"],
     period: float,
-) -> tuple[Complex[np.ndarray, "f N"], Complex[np.ndarray, "f N p"], Complex[np.ndarray, "f N"]]:
-    """Return the transforms of a residual, its derivatives and the air, such that white noise keeps its variance."""
+    unmodelled: tuple[float, float, float] = UNMODELLED,
+) -> tuple[Complex[np.ndarray, "f N"], Complex[np.ndarray, "f N p"], Float[np.ndarray, "f N"]]:
+    """Return the transforms of a residual and its derivatives, and the variance that no number explains.
+
+    White noise keeps its variance. `air` are its forces.
+    """
     count = len(left)
     taper, size = _taper(count), int(min(FREQUENCY, 0.4 / period) * count * period) + 1
     window = (taper / np.sqrt(np.sum(taper**2)))[:, None] * weights
-    parts = (window * left, window[:, :, None] * slopes, window * air)
-    of_left, by, of_air = (np.fft.rfft(part, axis=0)[:size] for part in parts)
-    return of_left, by, of_air
+    of_left, by, of_air = (
+        np.fft.rfft(part, axis=0)[:size] for part in (window * left, window[:, :, None] * slopes, window * air)
+    )
+    return of_left, by, unmodelled_variance(robot, of_air, unmodelled)
 
 
 def _information(
@@ -408,15 +610,15 @@ def _information(
     by: Complex[np.ndarray, "f N p"],
     variance: Float[np.ndarray, "f N"],
     covariance: Float[np.ndarray, "p p"],
-) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, " p"]]:
-    """Return information and slope of one log's likelihood.
+) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, " p"], Float[np.ndarray, "f N"]]:
+    """Return information and slope of one log's likelihood, and the weight of every residual.
 
     In every band the spectrum is the mean of `variance` and the mean square of what is left, over the degrees of
     freedom that `covariance` leaves.
     """
     size = len(left)
     double = np.where(np.arange(size) == 0, 1.0, 2.0)  # a real and an imaginary part
-    information, slope = np.zeros((by.shape[2],) * 2), np.zeros(by.shape[2])
+    information, slope, of_rows = np.zeros((by.shape[2],) * 2), np.zeros(by.shape[2]), np.zeros(left.shape)
     for band in np.array_split(np.arange(size), max(size // BAND, 1)):
         weight = double[band, None]
         power = np.sum(weight * np.abs(left[band]) ** 2, axis=0)
@@ -429,10 +631,11 @@ def _information(
             taken = taking / spectrum
             spectrum = power / np.maximum(freedom - taken, 0.25 * freedom) + least
         scale = np.sqrt(weight / spectrum)
+        of_rows[band] = scale**2
         slopes = (scale[:, :, None] * slopes).reshape(-1, by.shape[2])
         information += (slopes.conj().T @ slopes).real
         slope += (slopes.conj().T @ (scale * left[band]).reshape(-1)).real
-    return information, slope
+    return information, slope, of_rows
 
 
 def _taper(count: int) -> np.ndarray:

@@ -10,9 +10,9 @@ import pytest
 from jax_aero import rust
 from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import load_robot
-from jax_aero.body.spatial import wxyz_from_rotation
+from jax_aero.body.spatial import exp_so3, wxyz_from_rotation
 from jax_aero.commands import identify as command
-from jax_aero.identify import samples
+from jax_aero.identify import samples, verdict
 from jax_aero.sweep.perturbation import Perturbation
 from tests.units import test_any_robot
 
@@ -92,6 +92,8 @@ NAMED = (
     "a load of",
 )
 """Those that are looked for, which takes seconds each."""
+JUMPING = ("velocities in mm/s",)
+"""Those of which too little is left."""
 
 
 @pytest.mark.usefixtures("x64")
@@ -107,6 +109,10 @@ def test_a_log_of_the_files_robot_is_explained(flown):
 def test_a_wrong_log_is_not_explained_and_the_mistake_is_named(flown, name):
     config, log = flown
     log = {**log, **WRONG[name](log)}
+    if name in JUMPING:
+        with pytest.raises(Refused, match=r"left out: .* by odometry jumps"):
+            identified(config, log)
+        return
     known, prior = identified(config, log)
     assert not known.verdict.is_explained
     if name in NAMED:
@@ -153,8 +159,8 @@ def jump(log):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (put("raw_thrust", 500, np.nan), "rows lost"),
-        (put("joint_torque", 500, np.nan), "rows lost"),
+        (put("raw_thrust", slice(500, 510), np.nan), "rows lost"),
+        (put("joint_torque", slice(500, 510), np.nan), "rows lost"),
         (put("raw_thrust", (500, 1), 0.5), "engines idle"),
         (put("joint_torque", (500, 2), 1e9), "commands saturated"),
         (jump, "odometry jumps"),
@@ -164,7 +170,83 @@ def jump(log):
 def test_samples_that_the_equations_do_not_cover_are_left_out_and_counted(flown, change, reason):
     """Smoothing and delays spread one row to five samples about it."""
     assert left_out(flown, dict.copy) == {}
-    assert left_out(flown, change) == {reason: pytest.approx(5, abs=1)}
+    assert left_out(flown, change) == {reason: pytest.approx(5, abs=2)}
+
+
+def coloured(rng, shape, size, time=0.1, step=0.01):
+    """Return noise of a first-order filter with this time."""
+    keep = np.exp(-step / time)
+    found = np.zeros(shape)
+    for row in range(1, shape[0]):
+        found[row] = keep * found[row - 1] + size * np.sqrt(1.0 - keep**2) * rng.normal(size=shape[1:])
+    return found
+
+
+SENSED = {
+    "a clock": lambda log: {"time": 1.01 * log["time"]},
+    "attitude 20 ms later": lambda log: {
+        name: np.concatenate([rows[:1]] * 2 + [rows[:-2]])
+        for name, rows in {"raw_base_rotation": log["raw_base_rotation"]}.items()
+    },
+}
+
+
+def moved():
+    """Return a log of three axes in motion, seen by sensors with white noise."""
+    rng, time = np.random.default_rng(2), 0.01 * np.arange(4000)
+    rate = 0.3 * np.sin(2.0 * np.pi * time[:, None] / [4.0, 3.1, 2.3] + [0.0, 1.0, 2.0])
+    turns = np.cumsum(np.r_[np.zeros((1, 3)), 0.005 * (rate[1:] + rate[:-1])], axis=0)
+    rotation, gyro = [np.eye(3)], 0.5 * (rate[1:] + rate[:-1])
+    for row in gyro:
+        rotation.append(rotation[-1] @ np.asarray(exp_so3(0.01 * row)))
+    rotation = np.array(rotation)
+    spin = np.einsum("kab,kb->ka", rotation, rate)
+    noise = rng.normal(size=(time.size, 12)) * np.repeat([0.002, 0.01, 0.002, 0.005], 3)
+    return {
+        "time": time, "raw_base_position": turns + noise[:, :3],
+        "raw_base_rotation": rotation @ np.asarray(exp_so3(noise[:, 6:9])),
+        "raw_base_velocity": np.hstack([rate + noise[:, 3:6], spin + noise[:, 9:]]),
+    }  # fmt: skip
+
+
+def compared(log, flown):
+    config, other = flown
+    robot = rust.Robot(config["robot"])
+    still = {name: np.tile(rows[800], (4000, *(1,) * (rows.ndim - 1))) for name, rows in other.items()}
+    whole = {name: still[name] for name in (*samples.MEASURED, "raw_wind")} | log
+    with np.errstate(all="ignore"):
+        one, again = (samples.sample(part, config, robot)[0] for part in (whole, samples.with_noise_again(whole)))
+    return verdict.compare_rates(one, again)
+
+
+def test_sensors_that_contradict_each_other_are_named(flown):
+    """A clock 1 % fast makes rates slow, an attitude that is late follows the gyroscope; white noise does neither."""
+    log = moved()
+    sound = compared(log, flown)
+    assert sound.conflicts == []
+    assert np.all(sound.acceleration == 0.0)
+    for name, change in SENSED.items():
+        (conflict,) = compared({**log, **change(log)}, flown).conflicts
+        assert name in conflict
+
+
+def test_coloured_noise_is_noise(flown):
+    """A filter's noise of 0.1 s goes with no motion; its derivative is what accelerations get of it."""
+    log, rng = moved(), np.random.default_rng(5)
+    log["raw_base_velocity"] = log["raw_base_velocity"] + coloured(rng, log["raw_base_velocity"].shape, 0.05)
+    found = compared(log, flown)
+    assert found.conflicts == []
+    assert np.all((found.noise > 0.03) & (found.noise < 0.07))
+    assert np.all((found.acceleration[:3] > 0.1**2) & (found.acceleration[:3] < 0.5**2))
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_log_that_keeps_less_than_half_is_refused_with_its_reasons(flown):
+    config, log = flown
+    log = {name: rows.copy() for name, rows in log.items()}
+    log["raw_thrust"][200:1000] = np.nan
+    with pytest.raises(Refused, match=r"keeps \d+ of \d+ samples in flight; .* by rows lost"):
+        identified(config, log)
 
 
 def test_the_ground_is_found_from_thrust_and_acceleration():

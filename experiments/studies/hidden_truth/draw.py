@@ -79,8 +79,8 @@ def draw(config: rust.Config, seed: int, number: int, folder: Path) -> tuple[rus
     rng = np.random.default_rng([seed, number, 1])
     robot = rust.Robot(config["robot"])
     gains = np.ones(len(robot.joint_names))
-    for _, joints in robot.joint_groups:
-        gains[list(joints)] += rng.uniform(-TORQUE_GAIN, TORQUE_GAIN)
+    for joints in robot.joint_groups.values():
+        gains[[robot.joint_names.index(name) for name in joints]] += rng.uniform(-TORQUE_GAIN, TORQUE_GAIN)
     drawn = copy.deepcopy(config)
     if case_of(number).is_outside:
         drawn["robot"] = str(write_outside(Path(config["robot"]), folder, rng))

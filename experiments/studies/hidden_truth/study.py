@@ -1,11 +1,9 @@
 """Numbers of robots whose truth is hidden, found in one log each.
 
-`jax-aero study hidden_truth` draws robots from `perturbation/unknown_robot.toml`: the controller flies by the file, the
-robot differs. Each flies a manoeuvre of 60 s in turbulence, with the sensors of `simulator/robot.toml`. `identify` is
-given the log, the file and the robot's mass, as if weighed. Errors are medians over robots and entries, before and
-after; `covered` is the share of the 95 % intervals that hold the truth, with what a bootstrap over robots does not
-exclude at 1 %, and `width` their geometric mean. Then every robot flies TEST2 for 16 s, with the file and with what
-was found: masses and axes in the controller, sensors and thrusts calibrated, latencies and friction known.
+`jax-aero study hidden_truth` draws robots (`draw.py`): the controller flies by the file, the robot differs. `identify`
+is given the log, the file and the robot's mass, as if weighed. Only numbers that are found count, of logs that are
+explained. `covered` is the share of their 95 % intervals that hold the truth, with the ends of what a bootstrap over
+robots leaves of 95 %; `width` is the median width in still air; errors are medians, of the file and of what was found.
 
 The first robots, `defects` of them, fly again with a swinging payload, and with a joint that bends between encoder and
 link. No number explains either: such a log should count as not explained, or its intervals be wider.
@@ -28,155 +26,127 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from experiments.studies.hidden_truth import draw
 from jax_aero import rust
 from jax_aero.base import tables
+from jax_aero.base.terminal import Refused
+from jax_aero.body.kinematics import kinematics_at_rest
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.body.spatial import exp_so3
 from jax_aero.commands import identify as command
-from jax_aero.identify import excite, result, samples
-from jax_aero.results.study import Findings, Study, find
-from jax_aero.sweep.perturbation import Perturbation
+from jax_aero.results.study import Findings, Study
+from jax_aero.results.work import Work
 from jax_aero.train import identify
 from jax_aero.train.identify import Numbers
 
 Array = NDArray[np.float64]
 
-WIND = {
-    "profile": "turbulent", "velocity": [0.0, -5.0, 0.0], "std": [1.0, 1.0, 0.5], "time_scale": 2.0,
-    "ramp_start": -2.0, "ramp_end": -1.0,
-}  # fmt: skip
-"""Wind of the manoeuvre [m/s, s]."""
-TEST = {"simulator.duration": 16.0}
-"""The flight with the file and with what was found."""
-DELAYS = {"torque": "torque_delay", "thrust": "thrust_delay"}
 KINDS = {
-    "masses": ("mass",),
+    "mass and inertia": ("mass", "inertia"),
     "centre of mass": ("com",),
-    "inertia": ("inertia",),
-    "engines": ("thrust_gain", "thrust_axes"),
-    "sensors": ("imu", "encoders"),
-    "drives": ("friction",),
-    "latency": ("latency",),
+    "thrust gains": ("thrust_gain",),
+    "tilts": ("thrust_axes",),
+    "base's sensor": ("imu",),
+    "encoders": ("encoders",),
+    "drives": ("friction", "torque_gain"),
+    "latencies": ("delay",),
 }
 """Numbers whose intervals are counted together."""
-MONITOR = 4e-4
-"""Deviation of the monitor's latency of thrusts from the truth [s]; ours, of other draws."""
 PAYLOAD = {"mass": 1.5, "length": 0.6, "angle": 0.35}
 """A mass on a rope at the base that swings by itself [kg, m, rad]."""
 BEND = 0.05
 """Standard deviation of the bend of a joint that its encoder does not measure [rad]."""
 WIDER = 1.2
 """Geometric mean of intervals, over those of the same robot without a defect, from which they are wider."""
+DRAWS = 10_000
+"""Of the bootstrap."""
 
 
 class Truths(tables.Table, frozen=True):
     """Robots to draw."""
 
-    robots: tables.Count = 10
+    robots: tables.Count = 72
     """Number of robots."""
-    defects: tables.Count = 2
+    defects: tables.Natural = 2
     """Number of robots that fly again with each defect."""
     seed: tables.Seed = 1
     """Seed of the draws."""
 
 
-def compute(_: str, settings: Truths) -> Findings:
-    """Draw, fly, identify, and fly again."""
-    widths = tables.load(find("perturbation", "unknown_robot"), Perturbation)
-    config = rust.load_config("robot")
+def compute(_: str, settings: Truths, work: Work) -> Findings:
+    """Draw, fly and identify."""
     rows = []
-    with jax.enable_x64(True), tempfile.TemporaryDirectory() as folder:
-        flown = excite.flight({**config, "wind": WIND}, tuple(excite.AXES), Path(folder))
-        nominal = samples.latencies(rust.fly(flown).log)
-        for repeat in range(settings.robots):
-            has_defects = repeat < settings.defects
-            rows.append(row_of(config, flown, widths, settings.seed, repeat, nominal, has_defects))
-            print(f"{repeat + 1} of {settings.robots}", flush=True)
+    for number in range(settings.robots):
+        job = f"robot {number}"
+        if (row := work.read_json(job)) is None:
+            with jax.enable_x64(True), tempfile.TemporaryDirectory() as folder:
+                row = row_of(settings.seed, number, number < settings.defects, Path(folder))
+            work.write_json(job, row)
+        rows.append(row)
+        print(f"{number + 1} of {settings.robots}", flush=True)
+    cases = [draw.case_of(number) for number in range(settings.robots)]
+    of_robots = {key: ("robot", [row[key] for row in rows]) for key in ("outcome", "verdict", "is_explained", *DEFECTS)}
     data = xr.Dataset(
+        {key: (("robot", "number"), np.array([row[key] for row in rows], dtype=float)) for key in NUMBERS} | of_robots,
         {
-            key: (("robot", f"of_{key}"), np.array([row.get(key, np.full(len(rows[0][key]), np.nan)) for row in rows]))
-            for key in rows[0]
-        }
+            "number": rows[0]["names"],
+            **{key: ("robot", [getattr(case, key) for case in cases]) for key in draw.Case._fields},
+        },
     )
-    return Findings(
-        "Numbers of robots from one log each, truth hidden", data, summary_of(data), flights={"robot": config}
-    )
+    flights = {"robot": rust.load_config(draw.EXPERIMENT)}
+    return Findings("Numbers of robots from one log each, truth hidden", data, summary_of(data), flights=flights)
 
 
-STUDY = Study("hidden_truth", __doc__, Truths, compute, ("ten",), backend="rust and jax")
+NUMBERS = ("truth", "low", "high", "value", "share")
+DEFECTS = ("payload detected", "flexible joint detected")
+STUDY = Study("hidden_truth", __doc__, Truths, compute, ("ten",), backend="rust and jax", resumes=True)
 main = STUDY.main
 
 
-def row_of(
-    config: rust.Config,
-    flown: rust.Config,
-    widths: Perturbation,
-    seed: int,
-    repeat: int,
-    nominal: Mapping[str, tuple[float, float]],
-    has_defects: bool,
-) -> dict[str, list[float]]:
-    """Return errors, coverage and flights of one robot."""
-    robot = rust.Robot(config["robot"])
-    drawn, test = copy.deepcopy(flown), rust.set_keys(config, TEST)
-    for one in (drawn, test):
-        widths.apply(one, seed, repeat, robot)
+def row_of(seed: int, number: int, has_defects: bool, folder: Path) -> dict[str, Any]:
+    """Return what was found of one robot, beside its truth."""
+    config = draw.flight_of(draw.case_of(number), folder)
+    drawn, gains = draw.draw(config, seed, number, folder)
     flight = rust.fly(drawn)
-    log, true = dict(flight.log), load_robot(config["robot"])
-    model = robot_of(true, drawn["disturbances"]["model_error"])
-    rng, mass = np.random.default_rng([seed, repeat]), float(np.sum(true.masses))
-    mass *= 1.0 + command.SCALE_ERROR * rng.normal()
-    prior = command.prior_of(true, widths)
+    log = dict(flight.log) | {"joint_torque": flight.log["joint_torque"] * gains}
+    file, actual = load_robot(config["robot"]), load_robot(drawn["robot"])
+    model = robot_of(file, drawn["disturbances"]["model_error"])
+    rng = np.random.default_rng([seed, number])
+    mass = float(np.sum(actual.masses)) * (1.0 + draw.WEIGHING * rng.normal())
+    prior = command.prior_of(file, draw.WIDTHS)
 
     def identified(log: Mapping[str, Array]) -> command.Identified:
         return command.identify_robot(config, Path(config["robot"]), [log], prior, mass, model)
 
-    known = identified(log)
+    truth = truth_of(file, actual, model, drawn, gains, np.mean(log["raw_joint_position"], axis=0))
+    every = np.concatenate([np.ravel(part) for part in truth])
+    is_known = np.isfinite(every)
+    names = np.array([name for name, *_ in command.labels(file)])[is_known].tolist()
+    row: dict[str, Any] = {"names": names, "outcome": flight.outcome, "is_explained": False}
+    row |= {key: [None] * len(names) for key in NUMBERS} | dict.fromkeys(DEFECTS, -1)
+    row["truth"] = every[is_known].tolist()
+    try:
+        known = identified(log)
+    except Refused as reason:
+        return row | {"verdict": str(reason)}
     found = known.found
-    value = command.numbers_of(true, found.value)
-    low, high = (command.numbers_of(true, part) for part in command.intervals(true, found))
-    truth = truth_of(true, model, drawn)
-    late = {key: samples.latencies(log)[key][0] - nominal[key][0] for key in DELAYS}
-    row = errors_of(true, model, value, truth, np.mean(log["raw_thrust"], axis=0))
-    of_drawn, of_file = (one["simulator"]["actuation"] for one in (drawn, flown))
-    delays = {key: of_drawn[name] - of_file[name] for key, name in DELAYS.items()}
-    for key, delay in delays.items():
-        row |= {
-            f"latency {key} after [ms]": [1e3 * abs(late[key] - delay)],
-            f"latency {key} before [ms]": [1e3 * abs(delay)],
-        }
-    ends = {name: (getattr(low, name), getattr(high, name), getattr(truth, name)) for name in truth._fields}
-    # The delay of torques is beside the controller's latency, which has the drives' lag, but no jitter.
-    half = command.Z * MONITOR
-    ends["latency"] = (
-        np.array([low.delay[1], late["thrust"] - half]),
-        np.array([high.delay[1], late["thrust"] + half]),
-        np.array([delays["torque"] + 0.5 * of_drawn["jitter"], delays["thrust"]]),
-    )
-    for kind, names in KINDS.items():
-        least, most, wanted = (np.concatenate([np.ravel(ends[name][part]) for name in names]) for part in range(3))
-        row[f"covered {kind}"] = ((least <= wanted) & (wanted <= most)).astype(float).tolist()
-        row[f"width {kind}"] = (most - least).tolist()
-    row |= {"explained": [float(known.verdict.is_explained)]}
-    after = calibrated(test, true, model, value, late)
-    for label, one in (("before", test), ("after", after)):
-        end = rust.fly(one)
-        row[f"lost {label}"] = [float(end.outcome != "completed")]
-        row[f"lean {label} [deg]"] = [float(np.degrees(end.summary["max_rotation_error"]))]
-        row[f"position {label} [cm]"] = [100.0 * float(end.summary["max_com_error"])]
-    for name in ("payload", "flexible joint"):
-        row[f"{name} detected"] = [np.nan]
-        if has_defects:
-            other = identified(with_payload(drawn, robot, rng) if name == "payload" else bent(log, rng))
-            free = found.prior > 0.0
-            wider = np.exp(np.mean(np.log(other.found.deviation[free] / found.deviation[free])))
-            row[f"{name} detected"] = [float(not other.verdict.is_explained or wider > WIDER)]
-    return row | {"manoeuvre lost": [float(flight.outcome != "completed")]}
+    low, middle, high = (part[is_known].tolist() for part in command.quantiles(file, found, (0.025, 0.5, 0.975)))
+    row |= {"low": low, "high": high, "value": middle, "share": found.share[is_known].tolist()}
+    against = [*(one.name for one in known.verdict.unexplained), *known.verdict.conflicts]
+    row |= {"is_explained": known.verdict.is_explained, "verdict": ", ".join(against)}
+    for name in DEFECTS if has_defects else ():
+        changed = with_payload(drawn, gains, rng) if name == DEFECTS[0] else bent(log, rng)
+        other = identified(changed)
+        free = found.prior > 0.0
+        wider = np.exp(np.mean(np.log(other.found.deviation[free] / found.deviation[free])))
+        row[name] = int(not other.verdict.is_explained or wider > WIDER)
+    return row
 
 
-def with_payload(drawn: rust.Config, robot: rust.Robot, rng: np.random.Generator) -> dict[str, Array]:
+def with_payload(drawn: rust.Config, gains: Array, rng: np.random.Generator) -> dict[str, Array]:
     """Return the log of a flight in which a payload swings under the base in a drawn direction."""
     flown, (mass, length, angle), step = copy.deepcopy(drawn), PAYLOAD.values(), 0.05
+    robot = rust.Robot(drawn["robot"])
     rate, phase, side = np.sqrt(robot.gravity / length), rng.uniform(0.0, 6.0), rng.uniform(0.0, 6.0)
     pushes = flown["disturbances"].setdefault("pushes", [])
     for start in np.arange(0.0, flown["simulator"]["duration"], step):
@@ -184,7 +154,8 @@ def with_payload(drawn: rust.Config, robot: rust.Robot, rng: np.random.Generator
         pull = mass * (robot.gravity * np.cos(swing) + length * (angle * rate * np.cos(rate * start + phase)) ** 2)
         force = pull * np.array([np.sin(swing) * np.cos(side), np.sin(swing) * np.sin(side), -np.cos(swing)])
         pushes.append({"body": robot.body_names[0], "force": force.tolist(), "start": float(start), "duration": step})
-    return dict(rust.fly(flown).log)
+    log = dict(rust.fly(flown).log)
+    return log | {"joint_torque": log["joint_torque"] * gains}
 
 
 def bent(log: Mapping[str, Array], rng: np.random.Generator) -> dict[str, Array]:
@@ -208,111 +179,95 @@ def robot_of(robot: RobotModel, error: Mapping[str, Any]) -> RobotModel:
     )
 
 
-def truth_of(robot: RobotModel, model: RobotModel, drawn: rust.Config) -> Numbers:
-    """Return the numbers that make of the modelled robot the one that flew."""
-    error, simulator = drawn["disturbances"]["model_error"], drawn["simulator"]
-    sensors, scales = simulator["sensors"], drawn["disturbances"]["jets"]["force_scale"]
+def truth_of(
+    file: RobotModel, actual: RobotModel, model: RobotModel, drawn: rust.Config, gains: Array, posture: Array
+) -> Numbers:
+    """Return the numbers that make of the modelled robot the one that flew; NaN where they say nothing of it."""
+    simulator, scales = drawn["simulator"], drawn["disturbances"]["jets"]["force_scale"]
+    sensors, late = simulator["sensors"], simulator["actuation"]
     sides = jax.vmap(identify.across)(jnp.asarray(model.jets.axes))
-    tilts = jnp.einsum("jab,ja->jb", sides, jnp.cross(model.jets.axes, jnp.asarray(robot.jets.axes)))
-    prior = command.prior_of(robot, Perturbation())
-    nothing = Numbers(*(np.zeros(np.shape(part)) for part in prior))
-    return nothing._replace(
-        mass=np.array(1.0 / error["mass_scale"] - 1.0),
-        com=-np.array(error["com_offset"]),
-        inertia=np.array(1.0 / error["inertia_scale"] - 1.0),
-        thrust_gain=np.array([scales[name] - 1.0 for name in robot.jets.names]),
-        thrust_offset=np.full(robot.jets.count, sensors["thrust"]["bias"]),
+    tilts = jnp.einsum("jab,ja->jb", sides, jnp.cross(model.jets.axes, jnp.asarray(file.jets.axes)))
+    prior = command.prior_of(file, draw.WIDTHS)
+    unknown = Numbers(*(np.full(np.shape(part), np.nan) for part in prior))
+    mass, com, inertia = whole(model, actual, posture)
+    before = rust.load_config(draw.EXPERIMENT)["simulator"]["actuation"]["torque_delay"]
+    return unknown._replace(
+        mass=mass,
+        com=com,
+        inertia=inertia,
+        thrust_gain=np.array([scales[name] - 1.0 for name in file.jets.names]),
         thrust_axes=np.asarray(tilts),
+        torque_gain=np.array([1.0 / gains[joints[0]] - 1.0 for _, joints in file.joint_groups]),
         imu=np.array(sensors["base_rotation"]["bias"]),
         encoders=np.array(sensors["joints"]["bias"]),
-        friction=np.array([simulator["motors"]["friction_of"][name] for name in robot.joint_names]),
+        friction=np.array([simulator["motors"]["friction_of"][name] for name in file.joint_names]),
+        # That of torques is beside the controller's latency, which has the drives' lag, but no jitter.
+        delay=np.array([np.nan, late["torque_delay"] - before + 0.5 * late["jitter"]]),
     )
 
 
-def errors_of(
-    robot: RobotModel, model: RobotModel, value: Numbers, truth: Numbers, thrust: Array
-) -> dict[str, list[float]]:
-    """Return errors before and after; of a jet's force at the mean thrust of the log, of the axis as an angle."""
+def whole(model: RobotModel, actual: RobotModel, posture: Array) -> tuple[Array, Array, Array]:
+    """Return mass, centre of mass and inertia as `Numbers` has them, of a robot whose bodies may all differ."""
+    kin = kinematics_at_rest(model, jnp.asarray(posture))
+    rotations, positions = np.asarray(kin.body_rotations), np.asarray(kin.body_positions)
+    of_model, of_actual = (
+        tuple(map(np.asarray, (robot.masses, robot.coms, robot.inertias))) for robot in (model, actual)
+    )
 
-    def force(numbers: Numbers) -> Array:
-        acting: Array = np.asarray((1.0 + numbers.thrust_gain) * (thrust - numbers.thrust_offset))
-        return acting
+    def places(coms: Array) -> Array:
+        found: Array = positions + np.einsum("bij,bj->bi", rotations, coms)
+        return found
 
-    def angle(axes: Any) -> Array:
-        apart: Array = np.degrees(np.linalg.norm(np.cross(axes, robot.jets.axes), axis=1))
-        return apart
+    def spread(masses: Array, coms: Array) -> float:
+        return float(masses @ np.sum((places(coms) - masses @ places(coms) / masses.sum()) ** 2, axis=1))
 
-    zero = Numbers(*(np.zeros_like(part) for part in truth))
-    share = 1e3 * float(robot.masses[0] / np.sum(robot.masses))
-    found = {}
-    for label, guess in (("before", zero), ("after", value)):
-        axes = identify.robot_with(model, guess).jets.axes
-        degrees = {
-            name: np.degrees(np.asarray(getattr(guess, name) - getattr(truth, name))) for name in ("imu", "encoders")
-        }
-        for key, error in {
-            f"mass {label} [%]": 100.0 * (guess.mass - truth.mass),
-            f"centre of mass of the robot {label} [mm]": share * (guess.com - truth.com),
-            f"inertia {label} [%]": 100.0 * (guess.inertia - truth.inertia),
-            f"thrust gain {label} [%]": 100.0 * (force(guess) / force(truth) - 1.0),
-            f"thrust axes {label} [deg]": angle(axes),
-            f"imu {label} [deg]": degrees["imu"],
-            f"encoders {label} [deg]": degrees["encoders"],
-            f"friction {label} [N m]": guess.friction - truth.friction,
-        }.items():
-            found[key] = np.abs(np.atleast_1d(error)).tolist()
-    return found
-
-
-def calibrated(
-    test: rust.Config, robot: RobotModel, model: RobotModel, value: Numbers, late: Mapping[str, float]
-) -> rust.Config:
-    """Return a flight whose controller knows what was found: its robot, its sensors and thrusts, its latencies."""
-    after = copy.deepcopy(test)
-    error, sensors = after["disturbances"]["model_error"], after["simulator"]["sensors"]
-    axes = np.asarray(identify.robot_with(model, value).jets.axes)
-    error["mass_scale"] *= float(1.0 + value.mass)
-    error["inertia_scale"] *= float(1.0 + value.inertia)
-    error["com_offset"] = np.add(error["com_offset"], value.com).tolist()
-    error["thrust_axes"] = np.cross(robot.jets.axes, axes).tolist()
-    scale = after["disturbances"]["jets"]["force_scale"]
-    for name, gain in zip(robot.jets.names, np.asarray(value.thrust_gain), strict=True):
-        scale[name] /= float(1.0 + gain)
-    sensors["thrust"]["bias"] -= float(np.mean(value.thrust_offset))
-    for name, part in (("base_rotation", value.imu), ("joints", value.encoders)):
-        sensors[name]["bias"] = np.subtract(sensors[name]["bias"], part).tolist()
-    latency = after["controller"]["estimator"]["latency"]
-    for key in DELAYS:
-        latency[key] = max(latency[key] + late[key], 0.0)
-    after["controller"]["torque"]["friction"] = result.frictions(robot, value.friction)
-    return after
+    (m_0, c_0, i_0), (m, c, i) = of_model, of_actual
+    scale = m.sum() / m_0.sum()
+    com = (m @ places(c) / scale - m_0 @ places(c_0)) / m_0[0]
+    moved = c_0 + np.eye(len(m), 1) * com
+    own, own_0 = (float(np.trace(rows, axis1=1, axis2=2).sum()) for rows in (i, i_0))
+    inertia = ((own + 2.0 * spread(m, c)) / scale - 2.0 * spread(m_0, moved)) / own_0 - 1.0
+    return np.array(scale - 1.0), com, np.array(inertia)
 
 
 def summary_of(data: xr.Dataset) -> dict[str, float]:
-    """Return medians of errors, coverage of intervals, and counts of robots."""
-    found = {}
-    for key, rows in data.items():
-        name, values = str(key), np.asarray(rows)
-        if name.startswith("covered"):
-            found[f"{name} [%]"] = 100.0 * float(values.mean())
-            low, high = not_excluded(values)
-            found[f"{name}, at least [%]"], found[f"{name}, at most [%]"] = 100.0 * low, 100.0 * high
-        elif name.startswith("width"):
-            found[name] = float(np.exp(np.mean(np.log(values))))
-        elif any(word in name for word in ("lost", "explained", "detected")):
-            found[name] = float(np.nansum(values))
-        else:
-            found[name] = float(np.median(values))
-    return found
+    """Return coverage, widths and errors by kind, and counts of robots."""
+    names = np.array([str(name).split(".")[0] for name in data["number"].values])
+    truth, low, high, value, share = (np.asarray(data[key]) for key in NUMBERS)
+    is_explained = np.asarray(data["is_explained"], dtype=bool)
+    is_still = np.asarray(data["wind"]) == next(iter(draw.WINDS))
+    is_found = (share >= command.FOUND) & is_explained[:, None]
+    summary: dict[str, float] = {}
+    for kind, parts in KINDS.items():
+        of = np.isin(names, parts)
+        counted, holds = is_found[:, of], (low <= truth)[:, of] & (truth <= high)[:, of]
+        summary[f"found {kind}"] = float(counted.sum())
+        if not counted.any():
+            continue
+        summary[f"covered {kind} [%]"] = 100.0 * float(holds[counted].mean())
+        least, most = bootstrapped(counted, holds)
+        summary |= {f"covered {kind}, at least [%]": 100.0 * least, f"covered {kind}, at most [%]": 100.0 * most}
+        summary[f"width {kind}"] = float(np.median((high - low)[is_still][:, of][counted[is_still]]))
+        summary[f"error {kind} before"] = float(np.median(np.abs(truth[:, of][counted])))
+        summary[f"error {kind} after"] = float(np.median(np.abs(value - truth)[:, of][counted]))
+    for key in ("is_outside", "mission", "wind"):
+        for group in np.unique(data[key]):
+            counted = is_found & np.asarray(data[key] == group)[:, None] & np.isin(names, sum(KINDS.values(), ()))
+            label = {"True": "outside", "False": "inside"}.get(str(group), str(group))
+            summary[f"covered, {label} [%]"] = 100.0 * float(((low <= truth) & (truth <= high))[counted].mean())
+    summary["explained"] = float(is_explained.sum())
+    summary["completed"] = float(np.sum(data["outcome"] == "completed"))
+    return summary | {name: float(np.sum(data[name] == 1)) for name in DEFECTS if np.any(data[name] >= 0)}
 
 
-def not_excluded(covered: Array) -> tuple[float, float]:
-    """Return the interval of a coverage that a bootstrap over robots does not exclude at 1 %.
+def bootstrapped(counted: NDArray[np.bool_], holds: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the ends of what a bootstrap over robots leaves of 95 % of a coverage.
 
-    Where every interval holds the truth, so that no bootstrap varies, that of independent intervals.
+    Where every interval holds the truth, so that no bootstrap varies, those of independent intervals.
     """
-    if covered.all():
-        return 0.005 ** (1.0 / covered.size), 1.0
-    drawn = np.random.default_rng(0).choice(covered.mean(axis=1), (10000, len(covered))).mean(axis=1)
-    low, high = np.quantile(drawn, [0.005, 0.995])
+    of, all_of = (counted & holds).sum(axis=1), counted.sum(axis=1)
+    if of.sum() == all_of.sum():
+        return float(0.025 ** (1.0 / all_of.sum())), 1.0
+    drawn = np.random.default_rng(0).integers(len(of), size=(DRAWS, len(of)))
+    low, high = np.quantile(of[drawn].sum(axis=1) / np.maximum(all_of[drawn].sum(axis=1), 1), [0.025, 0.975])
     return float(low), float(high)
