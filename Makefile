@@ -161,7 +161,10 @@ wheels: $(PACKAGES) lab ## build wheels for Linux (x86-64, 64-bit ARM), macOS (z
 install-capi: ## install libflight for C and C++: header, libraries, files for pkg-config and CMake (PREFIX=/usr/local)
 	$(if $(LIBFLIGHT),,cargo build --locked --release --package flight-capi)
 	install -D -m 644 -t "$(INSTALLED)/include" rust/capi/include/flight.h
-	install -D -m 644 -t "$(INSTALLED)/lib" $(foreach name,libflight.so libflight.a,"$(or $(LIBFLIGHT),target/release)/$(name)")
+	install -D -m 644 -t "$(INSTALLED)/lib" "$(or $(LIBFLIGHT),target/release)/libflight.a"
+	install -m 644 "$(or $(LIBFLIGHT),target/release)/libflight.so" "$(INSTALLED)/lib/libflight.so.$(VERSION)"
+	ln -sf libflight.so.$(VERSION) "$(INSTALLED)/lib/libflight.so.$(basename $(VERSION))"
+	ln -sf libflight.so.$(basename $(VERSION)) "$(INSTALLED)/lib/libflight.so"
 	install -D -m 644 -t "$(INSTALLED)/lib/cmake/flight" rust/capi/cmake/flight-config.cmake
 	mkdir -p "$(INSTALLED)/lib/pkgconfig"
 	sed 's/@VERSION@/$(VERSION)/' rust/capi/flight.pc.in > "$(INSTALLED)/lib/pkgconfig/flight.pc"

@@ -4,11 +4,10 @@ if(NOT TARGET flight::flight)
   add_library(flight::flight SHARED IMPORTED)
   set_target_properties(flight::flight PROPERTIES
     IMPORTED_LOCATION "${flight_prefix}/lib/libflight.so"
-    IMPORTED_NO_SONAME TRUE
     INTERFACE_INCLUDE_DIRECTORIES "${flight_prefix}/include")
   add_library(flight::static STATIC IMPORTED)
   set_target_properties(flight::static PROPERTIES
     IMPORTED_LOCATION "${flight_prefix}/lib/libflight.a"
     INTERFACE_INCLUDE_DIRECTORIES "${flight_prefix}/include"
-    INTERFACE_LINK_LIBRARIES "gcc_s;util;rt;pthread;m;dl")
+    INTERFACE_LINK_LIBRARIES "gcc_eh;util;rt;pthread;m;dl")
 endif()

@@ -635,7 +635,7 @@ fn torques_between_two_ticks_through_c_are_those_of_the_crate() {
 #[test]
 fn a_program_finds_what_is_installed() {
     let folder = tempfile::tempdir().unwrap();
-    let (prefix, built) = (folder.path().join("prefix"), folder.path().join("built"));
+    let (prefix, built) = (folder.path().join("a prefix"), folder.path().join("built"));
     let set = |name: &str, value: &Path| format!("{name}={}", value.display());
     run(Command::new("make")
         .env_remove("MAKEFLAGS")
@@ -662,27 +662,32 @@ fn a_program_finds_what_is_installed() {
             run(Command::new(built.join(program)).args(arguments));
         }
     }
+    let program = folder.path().join("program");
+    let runs = || run(Command::new(&program).env_remove("LD_LIBRARY_PATH").args([path, "2"]));
+    // As the page says, for a prefix with a blank: shared, with the archive's own libraries, and fully static.
+    let build = |words: &str| {
+        let loop_c = Path::new(HERE).join("examples/loop.c");
+        let command = format!("eval cc {} -o {} {words}", loop_c.display(), program.display());
+        run(Command::new("sh")
+            .args(["-c", &command])
+            .current_dir(&prefix)
+            .env("PKG_CONFIG_PATH", prefix.join("lib/pkgconfig")));
+        runs();
+    };
     if is_there("pkg-config") {
-        let flags = |options: &[&str]| {
-            let found = run(Command::new("pkg-config")
-                .args(options)
-                .arg("flight")
-                .env("PKG_CONFIG_PATH", prefix.join("lib/pkgconfig")));
-            found.split_whitespace().map(str::to_owned).collect::<Vec<_>>()
-        };
-        assert_eq!(flags(&["--modversion"]), [env!("CARGO_PKG_VERSION")]);
-        let program = folder.path().join("program");
-        let libraries = flags(&["--variable=libdir"]).remove(0);
-        for link in [&["--libs"] as &[&str], &["--static", "--libs"]] {
-            run(Command::new("cc")
-                .args(flags(&["--cflags"]))
-                .arg(Path::new(HERE).join("examples/loop.c"))
-                .args(["-o", program.to_str().unwrap()])
-                .args(flags(link))
-                .arg(format!("-Wl,-rpath,{libraries}")));
-            run(Command::new(&program).env_remove("LD_LIBRARY_PATH").args([path, "2"]));
+        let required = format!("flight = {}", env!("CARGO_PKG_VERSION"));
+        run(Command::new("pkg-config").arg(required).env("PKG_CONFIG_PATH", prefix.join("lib/pkgconfig")));
+        build("$(pkg-config --cflags --libs flight) -Wl,-rpath,$(pkg-config --variable=libdir flight)");
+        build(
+            "$(pkg-config --static --cflags --libs flight) -Wl,-rpath,$(pkg-config --variable=libdir flight)",
+        );
+        let libc = run(Command::new("cc").arg("-print-file-name=libc.a"));
+        if libc.starts_with('/') {
+            build("-static $(pkg-config --static --cflags --libs flight)");
         }
     }
+    // Linked by its path, the library is still needed by its name.
+    build("-I include lib/libflight.so -Wl,-rpath,'\"$PWD/lib\"'");
 }
 
 #[test]

@@ -74,12 +74,14 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint<'_>) -> Result<Joint, BuildErro
             missing_key(&of(limits_key), "limits, as the joint is continuous in the URDF, or its range empty")
         })?,
     };
-    // The URDF states no limit by 0.
-    let greatest = |key: &str, unit: f64, given: Option<f64>, name: &str, urdf: f64| {
-        let item = format!("URDF {name} limit of joint `{}`", entry.name);
-        check_number(&item, urdf, |x| x >= 0.0, "a number ≥ 0")?;
-        let value = given.map(|value| value * unit).or((urdf > 0.0).then_some(urdf));
-        value.ok_or_else(|| missing_key(&of(key), "a positive number, as the URDF has none"))
+    // The URDF states no limit by 0; one that is overridden means nothing.
+    let greatest = |key: &str, unit: f64, given: Option<f64>, name: &str, urdf: f64| match given {
+        Some(value) => Ok(value * unit),
+        None if urdf == 0.0 => Err(missing_key(&of(key), "a positive number, as the URDF has none")),
+        None => {
+            let item = format!("URDF {name} limit of joint `{}`", entry.name);
+            check_number(&item, urdf, |x| x > 0.0, "a number > 0; 0, -1 or inf for none")
+        }
     };
     let (lower, upper) = motion.limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
     Ok(Joint {

@@ -191,10 +191,10 @@ impl Urdf {
         let document = parse(text)?;
         let robot = document.root_element();
         let (mut warnings, mut unused) = (Vec::new(), BTreeMap::new());
+        check_unused(robot, &mut unused)?;
         let joints =
             children(robot, "joint").map(|node| joint(node, &mut warnings)).collect::<Result<_, _>>()?;
         warnings.extend(unused_motion(robot)?);
-        count_unused(robot, &mut unused);
         Ok(Self {
             name: robot.attribute("name").map(str::to_owned),
             links: children(robot, "link").map(link).collect::<Result<_, _>>()?,
@@ -239,11 +239,38 @@ fn unused_motion(robot: Node<'_, '_>) -> Result<Vec<String>, String> {
     Ok(warnings)
 }
 
-/// Counts the tags within this one that are not used.
-fn count_unused(node: Node<'_, '_>, unused: &mut BTreeMap<String, usize>) {
+/// Attributes of a tag: those that are read, and harmless ones; `None` for tags whose attributes name and draw.
+fn attributes(tag: &str) -> Option<(&'static str, &'static str)> {
+    // What drives hold beside a limit, no flight knows.
+    let of_drives = "acceleration deceleration jerk command_effort current gear_velocity k_velocity";
+    Some(match tag {
+        "link" => ("name", "type concave"),
+        "joint" => ("name type", "dont_collapse"),
+        "inertial" => ("", ""),
+        "origin" => ("xyz rpy", ""),
+        "mass" => ("value", ""),
+        "inertia" => ("ixx ixy ixz iyy iyz izz", "iyx izx izy"),
+        "parent" | "child" => ("link", ""),
+        "axis" => ("xyz", ""),
+        "limit" => ("lower upper effort velocity", of_drives),
+        "mimic" => ("joint multiplier offset", ""),
+        "sphere" => ("radius", ""),
+        "cylinder" | "capsule" => ("radius length", ""),
+        "box" => ("size", ""),
+        "mesh" => ("filename scale", "convex"),
+        _ => return None,
+    })
+}
+
+/// Tags that make another robot where they are not read: out of their place, or closing a chain of joints.
+const MECHANISM: &str = "inertial origin mass inertia parent child axis limit mimic pose loop_joint";
+
+/// Refuses attributes and tags within this one that are not read and change the robot; counts the other unused tags.
+fn check_unused(node: Node<'_, '_>, unused: &mut BTreeMap<String, usize>) -> Result<(), String> {
+    let tag = node.tag_name().name();
     let is_fixed = node.attribute("type") == Some("fixed");
     let is_drawn = children(node, "visual").any(|visual| children(visual, "geometry").next().is_some());
-    let used: &[&str] = match node.tag_name().name() {
+    let used: &[&str] = match tag {
         "robot" => &["link", "joint"],
         "link" if is_drawn => &["inertial", "visual"],
         "link" => &["inertial", "visual", "collision"],
@@ -254,14 +281,38 @@ fn count_unused(node: Node<'_, '_>, unused: &mut BTreeMap<String, usize>) {
         "joint" => &["origin", "parent", "child", "axis", "limit", "mimic"],
         _ => &[],
     };
-    for inner in node.children().filter(Node::is_element) {
-        let (tag, namespace) = (inner.tag_name().name(), inner.tag_name().namespace());
-        if used.contains(&tag) && namespace == node.tag_name().namespace() {
-            count_unused(inner, unused);
-        } else {
-            *unused.entry(tag.to_owned()).or_default() += 1;
+    let has = |words: &str, name: &str| words.split(' ').any(|word| word == name);
+    if let Some((read, harmless)) = attributes(tag) {
+        let is_known = |name| has(read, name) || has(harmless, name);
+        let mut others =
+            node.attributes().filter(|other| other.namespace().is_none() && !is_known(other.name()));
+        if let Some(other) = others.find(|other| !is_nothing(other.name(), other.value())) {
+            let (name, value, place) = (other.name(), other.value(), describe(node));
+            return Err(format!("`{name}` of {place} is `{value}`, and not read; expected only: {read}"));
         }
     }
+    for inner in node.children().filter(Node::is_element) {
+        let (name, is_ours) =
+            (inner.tag_name().name(), inner.tag_name().namespace() == node.tag_name().namespace());
+        let says_nothing = inner.first_element_child().is_none()
+            && inner.text().is_none_or(|text| is_nothing("", text))
+            && inner.attributes().all(|attribute| is_nothing(attribute.name(), attribute.value()));
+        if is_ours && used.contains(&name) {
+            check_unused(inner, unused)?;
+        } else if is_ours && has(MECHANISM, name) && !is_fixed && !says_nothing {
+            let place = describe(inner);
+            return Err(format!("{place} is not read in <{tag}>; expected only: {}", used.join(" ")));
+        } else {
+            *unused.entry(name.to_owned()).or_default() += 1;
+        }
+    }
+    Ok(())
+}
+
+/// Whether an attribute that is not read says nothing: no turn, no shift, no other size.
+fn is_nothing(name: &str, value: &str) -> bool {
+    let nothing = if name == "scale" { 1.0 } else { 0.0 };
+    value.split_whitespace().all(|word| word.parse() == Ok(nothing))
 }
 
 fn link(node: Node<'_, '_>) -> Result<Link, String> {
@@ -302,14 +353,18 @@ fn joint(node: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Joint, String
         let limit = child(node, "limit")?;
         let has_either =
             limit.is_some_and(|limit| ["lower", "upper"].iter().any(|key| limit.has_attribute(*key)));
-        let limit = |key| limit.map_or(Ok(0.0), |limit| number(limit, key, Some(0.0)));
+        let limit = |key| limit.map_or(Ok(0.0), |limit| bound(limit, key));
+        // Several tools write −1 or infinity where they know no limit.
+        let greatest = |key| limit(key).map(|x| if x == -1.0 || x.is_infinite() { 0.0 } else { x });
         let (lower, upper) = if has_range { (limit("lower")?, limit("upper")?) } else { (0.0, 0.0) };
-        if has_range && has_either && lower >= upper {
+        let is_range = lower < upper && lower.is_finite() && upper.is_finite();
+        let is_unlimited = (lower, upper) == (f64::NEG_INFINITY, f64::INFINITY);
+        if has_range && has_either && !is_range && !is_unlimited {
             warnings.push(format!(
                 "limits of joint `{name}` are {lower} to {upper}, and taken as none; expected a range"
             ));
         }
-        if kind == JointKind::Revolute && lower.abs().max(upper.abs()) > TAU * (1.0 + ROUNDING) {
+        if is_range && kind == JointKind::Revolute && lower.abs().max(upper.abs()) > TAU * (1.0 + ROUNDING) {
             warnings.push(format!(
                 "limits of joint `{name}` are {lower} and {upper} rad; expected at most a turn, {TAU:.2} rad: a URDF has no \
                  degrees"
@@ -318,9 +373,9 @@ fn joint(node: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Joint, String
         Ok::<_, String>(Motion {
             kind,
             axis: axis(node, warnings)?,
-            limits: (lower < upper).then_some((lower, upper)),
-            effort: limit("effort")?,
-            velocity: limit("velocity")?,
+            limits: is_range.then_some((lower, upper)),
+            effort: greatest("effort")?,
+            velocity: greatest("velocity")?,
             mimic: child(node, "mimic")?.map(mimic).transpose()?,
         })
     };
@@ -419,6 +474,14 @@ pub(super) fn numbers<const N: usize>(
         let expected = if N == 1 { "a number".to_owned() } else { format!("{N} numbers") };
         format!("`{key}` of {} is `{text}`; expected {expected} up to {GREATEST:e}", describe(node))
     })
+}
+
+/// A limit of a joint, 0 if it is not there; infinite if it is no number up to the greatest.
+fn bound(limit: Node<'_, '_>, key: &str) -> Result<f64, String> {
+    match limit.attribute(key).map(|text| text.trim().parse::<f64>()) {
+        Some(Ok(number)) if number.abs() > GREATEST => Ok(f64::INFINITY.copysign(number)),
+        _ => number(limit, key, Some(0.0)),
+    }
 }
 
 pub(super) fn number(node: Node<'_, '_>, key: &str, default: Option<f64>) -> Result<f64, String> {

@@ -190,6 +190,154 @@ fn a_urdf_may_be_of_several_encodings() {
     assert!(load("plain", plain).is_ok());
 }
 
+/// What one reader of URDFs knows and this one does not is refused where it moves a part, and named.
+#[test]
+fn what_would_make_another_robot_is_read_or_refused_by_name() {
+    for (from, to, words) in [
+        // Attributes: of joint, inertial and visual, and of numbers in other units or places.
+        (
+            "xyz=\"0 0 1\" rpy=\"0 0 1.5707963267948966\"",
+            "xyz=\"0 0 1\" quat_xyzw=\"0 0 1 0\"",
+            "`quat_xyzw` of the <origin> of joint `mount` is `0 0 1 0`",
+        ),
+        (
+            "xyz=\"0.5 0 0\"",
+            "xyz=\"0.5 0 0\" quat_xyzw=\"1 0 0 0\"",
+            "`quat_xyzw` of the <origin> of link `load`",
+        ),
+        (
+            "<inertial>",
+            "<visual><origin quat_wxyz=\"0 1 0 0\"/><geometry/></visual><inertial>",
+            "`quat_wxyz` of the <origin> of link `base`",
+        ),
+        (
+            "<inertial>",
+            "<collision><geometry><cylinder axis=\"x\" radius=\"1\" length=\"1\"/></geometry></collision><inertial>",
+            "`axis` of the <cylinder> of link `base`",
+        ),
+        (
+            "<mass value=\"2\"/>",
+            "<mass value=\"2\" units=\"g\"/>",
+            "`units` of the <mass> of link `base` is `g`",
+        ),
+        ("ixy=\"0\"", "ixy=\"0\" frame=\"world\"", "`frame` of the <inertia> of link `base`"),
+        ("<link name=\"load\"", "<link mass=\"3\" name=\"load\"", "`mass` of link `load` is `3`"),
+        (
+            "<child link=\"load\"/>",
+            "<child link=\"load\" pose=\"1 0 0\"/>",
+            "`pose` of the <child> of joint `mount`",
+        ),
+        // Tags out of their place.
+        (
+            "<link name=\"load\">",
+            "<link name=\"load\"><origin xyz=\"0 0 1\"/>",
+            "<origin> of link `load` is not read in <link>",
+        ),
+        ("<link name=\"load\">", "<link name=\"load\"><pose>0 0 1 0 0 0</pose>", "<pose> of link `load`"),
+        (
+            "<link name=\"load\">",
+            "<inertial><mass value=\"1\"/></inertial><link name=\"load\">",
+            "<inertial> of robot `two_parts` is not read in <robot>",
+        ),
+        (
+            "</robot>",
+            "<loop_joint name=\"bar\"><link1 link=\"base\"/></loop_joint></robot>",
+            "loop_joint `bar` is not read in <robot>",
+        ),
+    ] {
+        let message = two_parts(from, to).unwrap_err();
+        assert!(
+            message.contains("two.urdf") && message.contains(words) && message.contains("expected"),
+            "{message}"
+        );
+    }
+    let moving = |joint: &str| {
+        HAND.replacen("<limit lower=\"-1\" upper=\"1\" effort=\"1\" velocity=\"1\"/>", joint, 1)
+    };
+    let toml = format!("{NO_JOINTS}\nlocked = {{ lead = 0.4 }}");
+    for (joint, words) in [
+        ("<axis xzy=\"0 1 0\"/>", "`xzy` of the <axis> of joint `lead`"),
+        ("<axis xyz=\"0 1 0\" frame=\"base\"/>", "`frame` of the <axis> of joint `lead`"),
+        ("<limit lower_deg=\"-1\"/>", "`lower_deg` of the <limit> of joint `lead`"),
+        ("<mimic joint=\"half\" power=\"2\"/>", "`power` of the <mimic> of joint `lead`"),
+    ] {
+        let message = load(&toml, &moving(joint)).unwrap_err();
+        assert!(message.contains(words), "{message}");
+    }
+    // Harmless: what is of others, says nothing, or concerns drives, pictures and programs.
+    let expected = load(NO_JOINTS, TWO_PARTS).unwrap().model;
+    for (from, to) in [
+        ("<joint name", "<joint dont_collapse=\"true\" xmlns:o=\"urn:o\" o:speed=\"1\" name"),
+        (
+            "<link name=\"load\">",
+            "<link name=\"load\" type=\"laser\"><origin xyz=\"0 0 0\"/><gravity>0</gravity>",
+        ),
+        ("ixy=\"0\"", "ixy=\"0\" iyx=\"0\""),
+        (
+            "<inertial>",
+            "<visual group=\"a\"><geometry name=\"b\"><box size=\"1 1 1\" scale=\"1 1 1\"/></geometry></visual><inertial>",
+        ),
+    ] {
+        assert_same(&two_parts(from, to).unwrap().model, &expected);
+    }
+    for joint in [
+        "<axis xyz=\"1 0 0\" rpy=\"0 0 0\"/>",
+        "<limit lower=\"-1\" upper=\"1\" acceleration=\"4\" jerk=\"9\"/>",
+    ] {
+        load(&toml, &moving(joint)).unwrap();
+    }
+}
+
+/// Where tools know no limit they write 0, −1 or infinity; a number of the TOML file comes before any of the URDF.
+#[test]
+fn limits_that_mean_none_are_none() {
+    let (toml, urdf) = sparrow_texts();
+    let limit = "lower=\"-1.2\" upper=\"1.5\" effort=\"40\" velocity=\"4\"";
+    assert!(urdf.contains(limit));
+    let with = |limits: &str, keys: &str| {
+        let toml = toml.replacen("{ name = \"l_shoulder\"", &format!("{{ name = \"l_shoulder\"{keys}"), 1);
+        load(&toml, &urdf.replacen(limit, limits, 1))
+    };
+    let range = "lower=\"-1.2\" upper=\"1.5\"";
+    let keys = ", torque_max = 7.0, velocity_max_deg = 90.0";
+    for none in ["0", "-1", "-1.0", "inf", "+Infinity", "1e308", "1.7976931348623157e+308", "2e999"] {
+        let limits = format!("{range} effort=\"{none}\" velocity=\"{none}\"");
+        let found = with(&limits, keys).unwrap().model;
+        assert_eq!(
+            (found.joints[3].torque_max, found.joints[3].velocity_max),
+            (7.0, 90_f64.to_radians()),
+            "{none}"
+        );
+        let message = with(&limits, "").err().unwrap();
+        assert!(message.contains("torque_max of joint `l_shoulder` is missing"), "{none}: {message}");
+    }
+    for wrong in ["-2", "-40"] {
+        let limits = format!("{range} effort=\"{wrong}\" velocity=\"{wrong}\"");
+        assert!(with(&limits, keys).is_ok(), "overridden");
+        assert!(
+            with(&limits, "")
+                .err()
+                .unwrap()
+                .contains(&format!("effort limit of joint `l_shoulder` is {wrong}"))
+        );
+    }
+    let rest = "effort=\"40\" velocity=\"4\"";
+    for (ends, warns) in [
+        ("lower=\"-inf\" upper=\"inf\"", false),
+        ("lower=\"-1e308\" upper=\"1e308\"", false),
+        ("lower=\"0\" upper=\"inf\"", true),
+        ("lower=\"inf\" upper=\"-inf\"", true),
+        ("lower=\"-1\" upper=\"-1\"", true),
+    ] {
+        let found = with(&format!("{ends} {rest}"), ", limits_deg = [-70.0, 80.0]").unwrap();
+        assert!(found.model.joints[3].stops.1.is_infinite(), "{ends}");
+        assert_eq!(found.warnings.len(), usize::from(warns), "{ends}: {:?}", found.warnings);
+        let message = with(&format!("{ends} {rest}"), "").err().unwrap();
+        assert!(message.contains("limits_deg of joint `l_shoulder` is missing"), "{ends}: {message}");
+    }
+    assert!(with(&format!("{range} effort=\"nan\" velocity=\"4\""), "").err().unwrap().contains("is `nan`"));
+}
+
 #[test]
 fn axes_are_directions_and_those_of_fixed_joints_mean_nothing() {
     let (toml, urdf) = sparrow_texts();
