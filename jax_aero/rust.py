@@ -27,7 +27,7 @@ import functools
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -904,7 +904,9 @@ class Csv(NamedTuple):
     lines: NDArray[np.uint64]
 
 
-def read_csv(content: bytes | str, file: str, columns: Mapping[str, str]) -> Csv:
+def read_csv(
+    content: bytes | str, file: str, columns: Mapping[str, str], missing: Mapping[str, Collection[str]] | None = None
+) -> Csv:
     """Read columns of a table in text: the one dialect of all tables, which `docs/reference.md` states.
 
     Parameters
@@ -917,6 +919,8 @@ def read_csv(content: bytes | str, file: str, columns: Mapping[str, str]) -> Csv
         Kind of every column: `number`, which is finite; `reading`, which may be missing (NaN), in some cells or as a
         whole; `signal`, a reading that may be infinite; or `text`. The header has the first one, by which the separator
         is known.
+    missing
+        Texts by column that mean that nothing was measured, beside empty cells and NaN as loggers write it.
 
     Raises
     ------
@@ -924,7 +928,8 @@ def read_csv(content: bytes | str, file: str, columns: Mapping[str, str]) -> Csv
         Naming file, line, column, value and what was expected.
     """
     data = content.encode() if isinstance(content, str) else content
-    header, numbers, texts, lines = _core.read_csv(data, file, next(iter(columns)), list(columns.items()))
+    absent = [(name, text) for name, words in (missing or {}).items() for text in words]
+    header, numbers, texts, lines = _core.read_csv(data, file, next(iter(columns)), list(columns.items()), absent)
     named = [name for name, kind in columns.items() if kind == "text"]
     measured = [name for name, kind in columns.items() if kind != "text" and name in header]
     return Csv(

@@ -1,13 +1,30 @@
 //! The one dialect of tables in text: a header, and a row of cells for each line.
 //!
-//! Commas, semicolons or tabs separate the cells; beside the latter two a comma is decimal. Cells may stand in quotation
-//! marks (RFC 4180). Blanks around cells, empty lines, `#` comments and a byte order mark are nothing.
+//! Commas, semicolons, tabs or blanks separate the cells; beside the latter three a comma is decimal. Cells may stand in
+//! quotation marks (RFC 4180). Blanks around cells, empty lines, `#` comments and a byte order mark are nothing; a comment
+//! before the rows may be the header, as NumPy's `savetxt` writes it.
 
 use flight_core::BuildError;
 use std::borrow::Cow;
+use std::iter::once;
 
-/// Cells in which nothing was measured.
-const EMPTY: [&str; 6] = ["", "na", "n/a", "nan", "null", "none"];
+/// Cells in which nothing was measured, but for signs; those with brackets and `1.#` are of Microsoft's C library.
+const EMPTY: [&str; 14] = [
+    "",
+    "na",
+    "n/a",
+    "nan",
+    "null",
+    "none",
+    "#n/a",
+    "<na>",
+    "nat",
+    "nan(ind)",
+    "nan(snan)",
+    "1.#ind",
+    "1.#qnan",
+    "1.#snan",
+];
 
 /// What the cells of a column hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,6 +61,8 @@ pub struct Csv<'t> {
     pub names: Vec<String>,
     /// Name of the file in errors, e.g. `wind file gust.csv`.
     pub file: String,
+    /// Texts that mean that nothing was measured, each with its column.
+    pub missing: Vec<(String, String)>,
     rest: &'t str,
     line: usize,
     separator: u8,
@@ -74,17 +93,24 @@ impl<'t> Csv<'t> {
         header: &str,
         accept: impl Fn(&[&str]) -> bool,
     ) -> Result<Self, BuildError> {
-        let rest = text.trim_start_matches('\u{feff}');
-        let mut first = (1, "empty".to_owned());
-        for separator in *b",;\t" {
-            let mut csv = Self { names: Vec::new(), file: file.to_owned(), rest, line: 1, separator };
-            let Some((line, cells)) = csv.next_row()? else { break };
-            csv.names = cells.into_iter().map(Cow::into_owned).collect();
-            if accept(&csv.names.iter().map(String::as_str).collect::<Vec<_>>()) {
-                return Ok(csv);
+        let whole = text.trim_start_matches('\u{feff}');
+        let mut first = None;
+        for (line, rest) in once((1, whole)).chain(comments(whole)) {
+            for separator in *b",;\t " {
+                let (names, missing, file) = (Vec::new(), Vec::new(), file.to_owned());
+                let mut csv = Self { names, file, missing, rest, line, separator };
+                let row = csv.next_row();
+                // A comment is no row that could be wrong.
+                let row = if rest.len() < whole.len() { row.unwrap_or_default() } else { row? };
+                let Some((line, cells)) = row else { break };
+                csv.names = cells.into_iter().map(Cow::into_owned).collect();
+                if accept(&csv.names.iter().map(String::as_str).collect::<Vec<_>>()) {
+                    return Ok(csv);
+                }
+                first.get_or_insert((line, csv.names.join(",")));
             }
-            first = (line, csv.names.join("\t"));
         }
+        let first = first.unwrap_or((1, "empty".to_owned()));
         Err(BuildError::bad_value(place(file, first.0), first.1, header))
     }
 
@@ -121,7 +147,7 @@ impl<'t> Csv<'t> {
                     rows.texts.push(cell.into_owned());
                     continue;
                 }
-                let (number, expected) = (self.number(&cell), kind.expected());
+                let (number, expected) = (self.number(column, &cell), kind.expected());
                 rows.numbers.push(number.filter(|number| kind.has(*number)).ok_or_else(|| {
                     let item = format!("column {} in {}", self.names[column], place(&self.file, line));
                     BuildError::bad_value(item, if cell.is_empty() { "empty" } else { &cell }, expected)
@@ -132,11 +158,17 @@ impl<'t> Csv<'t> {
         Ok(rows)
     }
 
-    fn number(&self, cell: &str) -> Option<f64> {
-        if EMPTY.iter().any(|empty| empty.eq_ignore_ascii_case(cell)) {
+    fn number(&self, column: usize, cell: &str) -> Option<f64> {
+        let bare = cell.strip_prefix(['+', '-']).filter(|bare| !bare.is_empty()).unwrap_or(cell);
+        if EMPTY.iter().any(|empty| empty.eq_ignore_ascii_case(bare)) {
             return Some(f64::NAN);
         }
-        if self.separator == b',' { cell.parse().ok() } else { cell.replace(',', ".").parse().ok() }
+        let number = if self.separator == b',' { cell.parse() } else { cell.replace(',', ".").parse() };
+        let is_missing = || self.missing.iter().any(|(of, text)| *of == self.names[column] && text == cell);
+        number.ok().or_else(|| match bare {
+            "1.#INF" => Some(f64::INFINITY.copysign(if cell.starts_with('-') { -1.0 } else { 1.0 })),
+            _ => is_missing().then_some(f64::NAN),
+        })
     }
 
     /// The line and the cells of the next row; `None` at the end.
@@ -171,6 +203,9 @@ impl<'t> Csv<'t> {
                 ));
             }
             cells.push(cell(&text[start..end]));
+            if self.separator == b' ' {
+                cells.retain(|cell| !cell.is_empty());
+            }
             let newline = if text[end..].starts_with("\r\n") { 2 } else { 1 };
             self.rest = text.get(end + newline..).unwrap_or_default();
             self.line += 1;
@@ -188,6 +223,16 @@ impl Rows {
     pub fn place(&self, file: &str, row: usize) -> String {
         place(file, self.lines[row])
     }
+}
+
+/// The lines of comments before the first row, each with what follows its `#`.
+fn comments(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let mut rest = text;
+    (1..).map_while(move |line| {
+        let comment = rest.trim_start_matches([' ', '\t']).strip_prefix('#')?;
+        rest = comment.split_once('\n').map_or("", |(_, rest)| rest);
+        Some((line, comment.trim_start_matches('#')))
+    })
 }
 
 fn place(file: &str, line: usize) -> String {

@@ -4,6 +4,7 @@
 
 use flight_core::control::law::mission::Commands;
 use flight_io::MissionConfig;
+use flight_io::csv::{Csv, Kind};
 use flight_io::mission::{COLUMNS, load_mission, parse_recording};
 
 #[test]
@@ -50,10 +51,34 @@ fn a_table_of_a_spreadsheet_is_read() {
     let read_quoted = parse_recording(&format!("{quoted}{text}"), "r.csv").unwrap();
     assert_eq!(format!("{read_quoted:?}"), format!("{:?}", parse_recording(&expected, "r.csv").unwrap()));
     let read = |text: &str| format!("{:?}", parse_recording(text, "r.csv").unwrap());
-    for separator in [";", "\t"] {
+    for separator in [";", "\t", "  "] {
         let rows = ["0;0;0;1,25;0;0;0", "1,5;0;-2;1;0;0;0"].join("\n");
         let text = format!("\u{feff}{}\n{}", header.replace(',', ";"), rows).replace(';', separator);
         assert_eq!(read(&text), read(&expected));
+        // NumPy writes the header as a comment, below others.
+        let commented = text.trim_start_matches('\u{feff}');
+        assert_eq!(read(&format!("# of a \"rig\n# {commented}")), read(&expected));
+    }
+}
+
+/// What loggers write where nothing was measured is no number; other words are, only if they are declared.
+#[test]
+fn missing_numbers_of_other_programs() {
+    let read = |kind, missing: &[(&str, &str)], cells: &str| {
+        let text = format!("t,x,y\n0,{cells}\n");
+        let mut csv = Csv::new(&text, "log", "a header", |names| names.contains(&"t")).unwrap();
+        csv.missing = missing.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
+        csv.read(&[("x", kind), ("y", kind)]).map(|rows| rows.numbers)
+    };
+    for cells in ["-nan(ind),1.#QNAN", "#N/A,nan", "-NaN,+nan", "<NA>,NaT", "-1.#IND,nan(snan)", ",\"\""] {
+        assert!(read(Kind::Signal, &[], cells).unwrap().iter().all(|number| number.is_nan()), "{cells}");
+        assert!(read(Kind::Number, &[], cells).is_err(), "{cells}");
+    }
+    assert_eq!(read(Kind::Signal, &[], "1.#INF,-1.#INF").unwrap(), [f64::INFINITY, f64::NEG_INFINITY]);
+    for cells in ["--,1", "OFF,2", "nano,3", "1.#,4"] {
+        let word = cells.split(',').next().unwrap();
+        assert!(read(Kind::Signal, &[("y", word)], cells).unwrap_err().to_string().contains(word), "{cells}");
+        assert!(read(Kind::Signal, &[("x", word)], cells).unwrap()[0].is_nan(), "{cells}");
     }
 }
 

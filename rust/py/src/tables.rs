@@ -39,7 +39,7 @@ pub fn check_table(table_json: &str, folder: PathBuf, schema_json: &str) -> PyRe
 type Table<'py> = (Vec<String>, Output<'py>, Vec<String>, Bound<'py, PyArrayDyn<usize>>);
 
 /// Read columns of a table of text, whose header has the name `key`; `file` names it in errors. A column of readings or
-/// signals may be absent.
+/// signals may be absent. `missing` has texts that are no number, each with its column.
 #[pyfunction]
 pub fn read_csv<'py>(
     py: Python<'py>,
@@ -47,12 +47,15 @@ pub fn read_csv<'py>(
     file: &str,
     key: &str,
     columns: Vec<(String, String)>,
+    missing: Vec<(String, String)>,
 ) -> PyResult<Table<'py>> {
     let (names, width, rows) = py
         .detach(|| {
             let text = str::from_utf8(content)
                 .map_err(|error| BuildError::bad_value(file, error, "text in UTF-8"))?;
-            let csv = Csv::new(text, file, &format!("a header with `{key}`"), |names| names.contains(&key))?;
+            let mut csv =
+                Csv::new(text, file, &format!("a header with `{key}`"), |names| names.contains(&key))?;
+            csv.missing = missing;
             let mut wanted: Vec<_> =
                 columns.iter().map(|(name, kind)| (name.as_str(), kind_of(kind))).collect();
             wanted.retain(|(name, kind)| {
