@@ -14,6 +14,8 @@ import os
 import shutil
 import socket
 import stat
+import threading
+import time
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -35,6 +37,10 @@ except ModuleNotFoundError:  # Windows
 
 WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)
 """Errors of file systems that have no locks."""
+
+
+RENEWAL, STALE = 30.0, 180.0
+"""Time after which a lock is renewed, and without that does not count on another machine [s]."""
 
 
 @contextmanager
@@ -97,8 +103,8 @@ def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
 def lock(target: Path) -> Iterator[None]:
     """Hold the lock of a file or folder for the duration of the block: `.NAME.lock` beside it, naming this process.
 
-    The system releases a lock when its process ends for any reason, and the next process takes it over. Only a lock of
-    another machine is respected unconditionally, since it is unknown whether that process still runs.
+    The system releases a lock when its process ends for any reason, and the next process takes it over. A lock of
+    another machine, where that is unknown, counts as long as it is renewed.
 
     Raises
     ------
@@ -109,7 +115,13 @@ def lock(target: Path) -> Iterator[None]:
     target.parent.mkdir(parents=True, exist_ok=True)
     path = target.with_name(f".{target.name}.lock")
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        except PermissionError:
+            if not path.exists():
+                raise
+            whose = f"{os.path.relpath(path)} is a lock of user {path.stat().st_uid}"
+            raise Refused(f"{whose}, who removes it if none of their commands runs; or choose another --out") from None
         try:
             _take(descriptor, path, target)
             if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
@@ -118,11 +130,22 @@ def lock(target: Path) -> Iterator[None]:
             os.close(descriptor)
             raise
         os.close(descriptor)
+    done = threading.Event()
+    renewal = threading.Thread(target=_renew, args=(descriptor, done), daemon=True)
+    renewal.start()
     try:
         yield
     finally:
+        done.set()
+        renewal.join()
         path.unlink(missing_ok=True)
         os.close(descriptor)
+
+
+def _renew(descriptor: int, done: threading.Event) -> None:
+    """Renew an open lock until it is done."""
+    while not done.wait(RENEWAL):
+        os.utime(descriptor)
 
 
 def lock_work(target: Path) -> AbstractContextManager[None]:
@@ -148,9 +171,13 @@ def _take(descriptor: int, path: Path, target: Path) -> None:
         is_elsewhere = holder["host"] != here
     except (ValueError, KeyError, TypeError):  # the holder has not been written
         who, is_elsewhere = "another process", False
-    if is_taken or is_elsewhere:
-        hint = f"; if that process has ended, remove {os.path.relpath(path)}" if is_elsewhere else ""
-        raise Refused(f"{os.path.relpath(target)} is being written by {who}{hint}")
+    age = time.time() - os.fstat(descriptor).st_mtime
+    if is_taken or (is_elsewhere and age < STALE):
+        hint = f"; if that process has ended, wait {STALE - age:.0f} s or remove {os.path.relpath(path)}"
+        raise Refused(f"{os.path.relpath(target)} is being written by {who}{hint if is_elsewhere else ''}")
+    if is_elsewhere:
+        what = f"{os.path.relpath(path)} of {who} was not renewed for {age / 60.0:.0f} minutes"
+        warnings.warn(f"{what}, and is taken over", stacklevel=2)
     me = {"pid": os.getpid(), "host": here, "since": datetime.now(UTC).isoformat(timespec="seconds")}
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, json.dumps(me).encode(), 0)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import io
 import json
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from typing import Any
 
 from jax_aero.base import renamed
@@ -170,6 +171,7 @@ def run_with_output(work: Callable[[], int]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="replace")
+    _obey_signals()
     with printable_output():
         try:
             try:
@@ -182,6 +184,14 @@ def run_with_output(work: Callable[[], int]) -> int:
         except OSError as reason:  # such as a full disk or a read-only folder
             _discard_unwritable_output()
             return CLOSED if isinstance(reason, BrokenPipeError) else refuse(one_line(reason))
+
+
+def _obey_signals() -> None:
+    """End as by Ctrl-C when the system stops the process or closes its terminal, unless that is ignored."""
+    for number in (getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")):
+        if number and signal.getsignal(number) is signal.SIG_DFL:
+            with suppress(ValueError):  # in another thread, which gets no signals
+                signal.signal(number, signal.default_int_handler)
 
 
 def _discard_unwritable_output() -> None:

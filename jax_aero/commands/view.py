@@ -190,9 +190,9 @@ def _read(result: str | Path, given: Any) -> recording.Recording:
     from jax_aero.view import logs, matlab
 
     path = Path(result)
-    if path.suffix == ".mat" and given.map is None:
+    if path.suffix.lower() == ".mat" and given.map is None:
         return matlab.read_recording(path, given.robot)
-    if path.suffix in logs.FORMATS:
+    if path.suffix.lower() in logs.FORMATS:
         config = None if given.experiment is None else rust.load_config(given.experiment)
         return logs.read_flight(path, config, given.map, given.robot)
     return recording.read(result, given.robot)

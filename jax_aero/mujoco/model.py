@@ -64,6 +64,8 @@ def mujoco_spec(source: str) -> Any:
         body.explicitinertial, body.iquat = True, [1.0, 0.0, 0.0, 0.0]
         body.mass, body.ipos, tensor = inertial
         body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    for joint in spec.joints:  # torques have the bounds of the crate, where the URDF's -1 means none
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
     spec.body(robot.body_names[0]).add_freejoint()
     for name, position in robot.held_joints.items():
         joint = next(joint for joint in spec.joints if joint.name == name)

@@ -57,7 +57,8 @@ def version_of(package: str) -> dict[str, str]:
 
 
 def _portable_word(word: str) -> str:
-    """Return a word of a command line with portable paths, also within `--set KEY="PATH"`."""
+    """Return a word of a command line with portable paths, also within `--set KEY="PATH"`; what is no text is `?`."""
+    word = word.encode(errors="replace").decode()
     return re.sub(r"(^|[=\"'\[{,]\s*)(/[^\"',\]}]*)", lambda found: found[1] + str(make_portable(found[2])), word)
 
 

@@ -28,7 +28,7 @@ def require(modules: Iterable[str], purpose: str, extra: str = "view") -> None:
 
 def check_out(out: Path, *suffixes: str) -> None:
     """Raise `Refused` if `out` has a wrong suffix or its folder does not exist; call it before any work."""
-    if out.suffix not in suffixes:
+    if out.suffix.lower() not in suffixes:
         raise Refused(f"`{out}` does not end in {' or '.join(suffixes)}; expected a file like flight{suffixes[0]}")
     if not out.parent.is_dir():
         raise Refused(f"there is no folder `{out.parent}` for `{out.name}`")

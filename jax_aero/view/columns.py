@@ -1,12 +1,13 @@
-"""Columns of numbers in recorded logs, with their times: CSV and parquet files, and JSON messages of MCAP files."""
+"""Columns of numbers in recorded logs, with their times: tables of text, parquet files, JSON messages of MCAP files."""
 
 from __future__ import annotations
 
 import shlex
 from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from jax_aero.base import sizes, typed
 from jax_aero.base.files import parse_json, read_bytes
 from jax_aero.base.parquet import read_table
 from jax_aero.base.places import did_you_mean
+from jax_aero.base.terminal import ConfigError
 from jax_aero.view import Refused, require
 from jax_aero.view.export import METADATA
 
@@ -32,31 +34,57 @@ class Series(NamedTuple):
     rows: Array
 
 
-def read_csv(
-    path: Path, time: str, scale: float, wanted: Collection[str], *, is_ours: bool
-) -> tuple[dict[str, Series], Sequence[str]]:
-    """Return the wanted columns of a table, as far as they are there, and its header; an empty cell is NaN.
+Missing: TypeAlias = Mapping[str, Collection[str]]
+"""Texts by column that mean that nothing was measured."""
 
-    `time` is the name of the column of times, and `scale` their factor to seconds.
+Table: TypeAlias = tuple[dict[str, Series], Sequence[str], float | None]
+"""Wanted columns of a table, its header, and the factor of its times to seconds if they have no unit of their own."""
+
+
+def read_text(
+    path: Path, time: str, scale: float, wanted: Collection[str], missing: Missing, *, is_ours: bool
+) -> Table:
+    """Return the wanted columns of a table, as far as they are there; an empty cell, or a text of `missing`, is NaN.
+
+    `time` is the name of the column of times, and `scale` their factor to seconds; texts of ISO 8601 need none.
     Where most rows of a log of others have empty cells, each source wrote its own: a column has those that it fills.
     """
-    found = rust.read_csv(read_bytes(path), f"`{path}`", {time: "signal", **dict.fromkeys(wanted, "signal")})
-    header, times = found.header, found.numbers[time]
-    table = np.column_stack(list(found.numbers.values()))
-    times = (times - times[:1]) * scale  # which would be rounded coarsely if they began in 1970
+    kinds = dict.fromkeys((name for name in wanted if name != time), "signal")
+    content, file = read_bytes(path), f"`{path}`"
+    factor: float | None = scale
+    try:
+        found = rust.read_csv(content, file, {time: "signal", **kinds}, missing)
+        times = found.numbers[time]
+        times = (times - times[:1]) * scale  # which would be rounded coarsely if they began in 1970
+    except ConfigError as refusal:
+        found, factor = rust.read_csv(content, file, {time: "text", **kinds}, missing), None
+        times = _seconds(found.texts[time], f"{refusal}, or ISO 8601")
+    numbers = {**found.numbers, time: times}
+    table = np.column_stack(list(numbers.values()))
     is_filled = ~np.isnan(table)
     is_sparse = not is_ours and 2 * is_filled[:, is_filled.any(axis=0)].all(axis=1).sum() < len(table)
     rows = [is_filled[:, column] if is_sparse else slice(None) for column in range(table.shape[1])]
-    return {
-        name: Series(times[own], found.numbers[name][own]) for name, own in zip(found.numbers, rows, strict=True)
-    }, header
+    series = {name: Series(times[own], numbers[name][own]) for name, own in zip(numbers, rows, strict=True)}
+    return series, found.header, factor
+
+
+def _seconds(moments: Any, refusal: str) -> Array:
+    """Return timestamps, durations, or texts of ISO 8601, as times from the first [s]."""
+    import pandas as pd
+
+    try:
+        column = pd.Series(moments)
+        column = column if column.dtype.kind in "mM" else pd.to_datetime(column, format="ISO8601", utc=True)
+    except (TypeError, ValueError) as reason:
+        raise Refused(f"{refusal} ({str(reason).splitlines()[0]})") from None
+    return np.asarray((column - column.iloc[0]).dt.total_seconds())
 
 
 def read_parquet(
-    path: Path, time: str, scale: float, wanted: Collection[str], *, is_ours: bool
-) -> tuple[dict[str, Series], Sequence[str]]:
-    """Return the wanted columns of a parquet file of numbers, as `read_csv`; a missing number is NaN."""
-    del is_ours
+    path: Path, time: str, scale: float, wanted: Collection[str], missing: Missing, *, is_ours: bool
+) -> Table:
+    """Return the wanted columns of a parquet file, as `read_text`; times of a type with a unit need no factor."""
+    del is_ours, missing
     table = read_table(path)
     header = table.column_names
     if time not in header:
@@ -68,13 +96,22 @@ def read_parquet(
         except (TypeError, ValueError):
             raise Refused(f"column `{name}` of `{path}` holds no numbers") from None
 
-    times = rows(time)
-    times = (times - times[:1]) * scale
-    return {name: Series(times, rows(name)) for name in header if name in wanted}, header
+    column = table[time].to_pandas()
+    has_unit = column.dtype.kind not in "iuf"
+    times = _seconds(column, f"column `{time}` of `{path}` holds no times") if has_unit else rows(time)
+    times = times if has_unit else (times - times[:1]) * scale
+    series = {name: Series(times, times if name == time else rows(name)) for name in header if name in wanted}
+    return series, header, None if has_unit else scale
 
 
-TABLES = {".csv": read_csv, ".parquet": read_parquet}
+TABLES = {".csv": read_text, ".tsv": read_text, ".txt": read_text, ".parquet": read_parquet}
 """Readers of tables, by suffix."""
+
+STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
+"""Names of seconds and nanoseconds in stamps of ROS 2, Foxglove, ROS 1 and protocol buffers."""
+
+FORMS = f"a number, {', '.join(' with '.join(pair) for pair in STAMPS)}, or a text of ISO 8601"
+"""What a stamp may be."""
 
 
 def read_mcap(
@@ -107,8 +144,9 @@ def read_mcap(
                 if channel.message_encoding != "json":
                     others.add(channel.message_encoding)
                     continue
-                numbers = dict(_flatten(parse_json(record.data), channel.topic))
-                time = next(_stamps(numbers, stamps), None) if stamps else record.log_time
+                message = parse_json(record.data)
+                numbers = dict(_flatten(message, channel.topic))
+                time = next(_stamps(message, channel.topic, numbers, stamps), None) if stamps else record.log_time
                 if time is None:
                     unstamped.add(channel.topic)
                     continue
@@ -124,20 +162,28 @@ def read_mcap(
         what = f"({type(reason).__name__}: {reason})"
         raise Refused(f"`{path}` is damaged {what}; {_recovery(path)}") from None
     if not found and not unstamped:
-        held = f", but in {', '.join(sorted(others))}" if others else ""
+        held = f", but in {', '.join(sorted(others))}, which PlotJuggler exports as CSV" if others else ""
         raise Refused(f"`{path}` has no message in JSON{held}; expected those of `jax-aero export`, or others in JSON")
     start = min((min(times) for times, _ in found.values()), default=0)
     return {name: _in_order(times, numbers, start) for name, (times, numbers) in found.items()}, config, unstamped
 
 
-def _stamps(numbers: Mapping[str, float], stamps: Mapping[str, float]) -> Iterator[int]:
+def _stamps(message: Any, topic: str, numbers: Mapping[str, float], stamps: Mapping[str, float]) -> Iterator[int]:
     """Yield the times that a message states [ns], which would be rounded coarsely in seconds since 1970."""
     for name, scale in stamps.items():
-        whole, part = (numbers.get(f"{name}/{unit}") for unit in ("sec", "nanosec"))
-        if name in numbers:
-            yield round(numbers[name] * scale * 1e9)
-        elif whole is not None and part is not None:
-            yield int(whole) * 10**9 + int(part)
+        number, *parts = (numbers.get(key, np.nan) for key in (name, *(f"{name}/{part}" for part in sum(STAMPS, ()))))
+        if np.isfinite(number):
+            yield round(number * scale * 1e9)
+        pairs = zip(parts[::2], parts[1::2], strict=True)
+        yield from (int(whole) * 10**9 + int(part) for whole, part in pairs if np.isfinite(whole + part))
+        text = message
+        for key in name.removeprefix(f"{topic}/").split("/"):
+            text = text.get(key) if isinstance(text, dict) else None
+        if isinstance(text, str):
+            import pandas as pd
+
+            with suppress(ValueError):
+                yield int(pd.Timestamp(text).value)
 
 
 def _in_order(stamps: array[int], numbers: array[float], start: int) -> Series:

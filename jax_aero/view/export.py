@@ -3,7 +3,8 @@
 An MCAP file has a topic `/signals/NAME` for every signal, and these, which viewers draw, in JSON (profile `json`) or as
 messages of ROS 2 (profile `ros2`):
 
-    /tf                  foxglove.FrameTransforms or tf2_msgs/TFMessage    poses of all bodies, named as in the URDF
+    /tf, /tf_static      foxglove.FrameTransforms or tf2_msgs/TFMessage    poses of all bodies, and of other links in
+                                                                          theirs; names are those of the URDF
     /base, /setpoint     foxglove.PoseInFrame                             pose of the base; its set-point, at that of
                                                                           the centre of mass
     /odom, /setpoint     nav_msgs/Odometry, geometry_msgs/PoseStamped     the same in ROS 2, with the base's velocity
@@ -106,7 +107,7 @@ def write_mcap(recording: Recording, out: Path, progress: Progress | None = None
         writer: Any = Writer(file)
         writer.start(form.name, f"jax-aero {rust.__version__}")
         channels = []
-        counts: Counter[tuple[str, str]] = Counter()
+        counts: Counter[str] = Counter()
         for topic in form.topics(recording):
             schema = writer.register_schema(topic.schema, form.schemas, topic.definition)
             channel = writer.register_channel(topic.name, form.messages, schema, dict(topic.metadata))
@@ -117,12 +118,13 @@ def write_mcap(recording: Recording, out: Path, progress: Progress | None = None
                 found = topic.message(tick, stamp)
                 if found is not None:
                     writer.add_message(channel, stamp, found, stamp)
-                    counts[topic.name, topic.schema] += 1
+                    counts[topic.name] += 1
             if progress is not None:
                 progress(tick + 1, len(stamps))
         writer.finish()
     if profile == "ros2":
-        write_text(out.with_name(ros2.BAG), ros2.describe_bag(out.name, counts, stamps[-1]))
+        written = [(topic, counts[topic.name]) for _, topic in channels if counts[topic.name]]
+        write_text(out.with_name(ros2.BAG), ros2.describe_bag(out.name, written, stamps[-1]))
 
 
 def facts_of(recording: Recording) -> dict[str, str]:

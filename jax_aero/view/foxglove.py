@@ -97,12 +97,12 @@ def _transforms(frames: Any, stamp: dict[str, int]) -> Any:
     transforms = [
         {
             "timestamp": stamp,
-            "parent_frame_id": WORLD,
+            "parent_frame_id": parent,
             "child_frame_id": name,
             "translation": named("xyz", position),
             "rotation": xyzw(wxyz),
         }
-        for name, position, wxyz in frames
+        for parent, name, position, wxyz in frames
     ]
     return {"transforms": transforms}
 

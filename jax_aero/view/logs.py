@@ -8,8 +8,9 @@ A mapping file is TOML: a table for each signal (`rust.signals`) that the log ho
     raw_base_quaternion = { columns = ["qw", "qx", "qy", "qz"] }                  # in place of raw_base_rotation
 
 Columns of an MCAP file are the numbers of its JSON messages, such as `/topic/field/0`, with the times of recording or,
-with `time = { columns = ["/joints/stamp", "/base/stamp"] }`, those that the messages of each topic state, also as `sec`
-and `nanosec`. Those of a MATLAB file are named in `jax_aero.view.matlab`, and have its times.
+with `time = { columns = ["/joints/stamp", "/base/stamp"] }`, those that the messages of each topic state, in one of the
+forms `columns.FORMS`. Times with a unit of their own, as timestamps of parquet and texts of ISO 8601, need no `scale`.
+Those of a MATLAB file are named in `jax_aero.view.matlab`, and have its times.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.spatial import wxyz_from_rotation
 from jax_aero.view import Refused, recording
-from jax_aero.view.columns import TABLES, Array, Series, read_mcap
+from jax_aero.view.columns import FORMS, TABLES, Array, Series, read_mcap
 from jax_aero.view.export import column_name
 from jax_aero.view.matlab import read_mat
 from jax_aero.view.recording import Recording, entries_of
@@ -38,6 +39,14 @@ QUATERNION = "raw_base_quaternion"
 
 FORMATS = (".mcap", ".mat", *TABLES)
 """Suffixes of logs other than results."""
+
+CONVERTERS = {
+    **dict.fromkeys((".bin", ".tlog"), "; `mavlogdump.py --format csv` makes CSV of it"),
+    **dict.fromkeys((".bag", ".db3"), "; PlotJuggler exports CSV, `ros2 bag convert` makes MCAP (JSON is read)"),
+    **dict.fromkeys((".gz", ".zip", ".xz", ".zst"), "; unpack it first"),
+    ".ulg": "; `ulog2csv` makes CSV of it",
+}
+"""What makes a log that is read of one of another format, by suffix."""
 
 NEEDED = ("raw_base_position", "raw_base_rotation", "raw_base_velocity", "raw_joint_position", "raw_thrust")
 """Signals without which no flight can begin."""
@@ -60,11 +69,17 @@ LATE = 10
 FEW = 5
 """Number of rows over which a first guess of their period is taken, among which few have a lost one."""
 
+LEAST_STEP, LEAST_TICKS = 2e-4, 10
+"""Least time between two rows [s], and number of ticks: with less, times have another unit."""
+
 LONGEST_GAP = 60.0
 """Longest time between two rows of one flight [s]."""
 
 MARKS = (99.0, 99.9, 99.99, 999.0, 999.9, 999.99, 9999.0, 9999.9, 99999.0)
 """Numbers that loggers write, with either sign, where nothing was measured."""
+
+
+M = TypeVar("M", float, str)
 
 
 class Source(tables.Table, frozen=True):
@@ -74,8 +89,12 @@ class Source(tables.Table, frozen=True):
     """Name of every entry, in our order; or one pattern, in which `{}` stands for the name of the entry."""
     scale: float = 1.0
     """Factor from the unit of the log to ours."""
-    missing: tuple[float, ...] | None = None
-    """Numbers of the log that mean that nothing was measured; without the key those of `MARKS` are refused."""
+    missing: tuple[float | str, ...] | None = None
+    """Numbers, and texts of a table, where nothing was measured; without the key those of `MARKS` are refused."""
+
+    def marks(self, kind: type[M]) -> list[M]:
+        """Return the numbers or the texts where nothing was measured."""
+        return [mark for mark in self.missing or () if isinstance(mark, kind)]
 
 
 class Log(NamedTuple):
@@ -87,10 +106,13 @@ class Log(NamedTuple):
         Entries of every signal, in order, or one series with all of them.
     config
         Configuration that it was flown with; `None` if the log does not hold it.
+    scale
+        Factor of its times to seconds that the mapping states; `None` if they have a unit of their own.
     """
 
     signals: Mapping[str, list[Series]]
     config: rust.Config | None
+    scale: float | None = None
 
 
 class Ticks(NamedTuple):
@@ -114,7 +136,7 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     Parameters
     ----------
     path
-        A result of `jax-aero fly`, or a `.mcap`, `.mat`, `.csv` or `.parquet` file.
+        A result of `jax-aero fly`, or a file of `FORMATS`.
     config
         Configuration of the robot that it is of; `None` for that of the log.
     mapping
@@ -127,9 +149,10 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     Refused
         For a file that cannot be read, or columns that are not there.
     """
-    if path.suffix not in FORMATS:
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
         if mapping is not None:
-            raise Refused(f"--map is given for `{path}`; expected it with a file of {', '.join(FORMATS)}")
+            raise Refused(f"--map is given for `{path}`; expected it with {instead_of(path)}")
         flight = recording.read(path, robot_file or (None if config is None else config["robot"]))
         series = {name: [Series(flight.signals["time"], flight.rows(name))] for name in flight.signals}
         return Log(series, flight.config)
@@ -139,10 +162,12 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     time = sources.get("time", Source(columns="time"))
     stamps = (time.columns,) if isinstance(time.columns, str) else time.columns
     unstamped: Collection[str] = ()
-    if path.suffix == ".mcap":
+    scale: float | None = None
+    if suffix == ".mcap":
         given = dict.fromkeys(stamps, time.scale) if "time" in sources else {}
         columns, own, unstamped = read_mcap(path, given, is_ours=mapping is None)
-    elif path.suffix == ".mat":
+        scale = time.scale if given else None
+    elif suffix == ".mat":
         if "time" in sources:
             raise ConfigError.of("time", list(stamps), "none, as a MATLAB file has its own times").in_file(str(mapping))
         held, facts = read_mat(path)
@@ -150,26 +175,33 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     if config is None and own is None:
         raise Refused(f"`{path}` holds no configuration of a flight; expected --experiment NAME")
     robot = rust.Robot(robot_file or (config or own or {})["robot"])
-    if path.suffix == ".mcap":
+    if suffix == ".mcap":
         sources.pop("time", None)
-    named = _own_columns(robot, path.suffix) if mapping is None else _mapped_columns(sources, robot, mapping)
+    named = _own_columns(robot, suffix) if mapping is None else _mapped_columns(sources, robot, mapping)
     header: Collection[str] = columns
-    if path.suffix in TABLES:
+    if suffix in TABLES:
         wanted = {name for names in named.values() for name in names}
         if len(stamps) != 1:
             raise ConfigError.of("time.columns", list(stamps), "one name").in_file(str(mapping))
-        columns, header = TABLES[path.suffix](path, stamps[0], time.scale, wanted, is_ours=mapping is None)
+        texts = {name: source.marks(str) for signal, source in sources.items() for name in named[signal]}
+        columns, header, scale = TABLES[suffix](path, stamps[0], time.scale, wanted, texts, is_ours=mapping is None)
     signals = {}
     for signal, names in named.items():
         absent = [name for name in names if name not in columns]
         if absent and mapping is not None:
             if any(absent[0].startswith(f"{topic}/") for topic in unstamped):
-                expected = f"one of each topic, also of that of `{absent[0]}`"
+                expected = f"one of each topic, also of that of `{absent[0]}`: {FORMS}"
                 raise ConfigError.of("time.columns", list(stamps), expected).in_file(mapping.name)
             raise Refused(f"{mapping.name}: `{path}` has no column `{absent[0]}`{did_you_mean(absent[0], header)}")
         if not absent:
-            signals[signal] = [_in_our_units(columns[name], sources.get(signal), name, path) for name in names]
-    return Log(signals, own)
+            source = None if signal == "time" else sources.get(signal)  # whose readers return seconds
+            signals[signal] = [_in_our_units(columns[name], source, name, path) for name in names]
+    return Log(signals, own, scale)
+
+
+def instead_of(path: Path) -> str:
+    """Return which files are read, and what makes one of this file of another format."""
+    return f"a file of {', '.join(FORMATS)}{CONVERTERS.get(path.suffix.lower(), '')}"
 
 
 def read_flight(path: Path, config: rust.Config | None, mapping: Path | None, robot_file: str | None) -> Recording:
@@ -212,7 +244,7 @@ def _in_our_units(column: Series, source: Source | None, name: str, path: Path) 
     """Return a column in SI units, with NaN for marks of a missing value; refuse what looks like one."""
     if source is None:
         return column
-    rows = np.where(np.isin(column.rows, source.missing or ()), np.nan, column.rows)
+    rows = np.where(np.isin(column.rows, source.marks(float)), np.nan, column.rows)
     is_mark = np.isin(np.abs(rows), MARKS)
     others = np.abs(rows[np.isfinite(rows) & ~is_mark]).max(initial=0.0)
     if source.missing is None and is_mark.any() and np.abs(rows[is_mark]).min() > 2.0 * others:
@@ -279,7 +311,8 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
         names = ", ".join(f"`{name}`" for name in lacking).replace(QUATERNION, "raw_base_rotation")
         raise Refused(f"`{path}` has no {names}; expected what a tick is given")
     stamps = log.signals["raw_joint_position" if robot.joint_names else "raw_base_position"][0].times
-    rows = _check_times(stamps, path)
+    unit = _likely_unit(log.scale, _typical_step(stamps), period)
+    rows = _check_times(stamps, path, unit)
     spans = [(*_span(one, name, path), name) for name in needed for one in log.signals[name]]
     (begin, last, late), (first, end, early) = max(spans), min(spans, key=lambda span: span[1])
     if begin > end:
@@ -289,9 +322,12 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
     most = LATE * rows.size + int(LONGEST_GAP / period)
     if (rows[-1] - rows[0]) / period > most:
         raise Refused(
-            f"`{path}` has {rows.size} rows in {rows[-1] - rows[0]:g} s; expected one in most of {period:g} s"
+            f"`{path}` has {rows.size} rows in {rows[-1] - rows[0]:g} s; expected one in most of {period:g} s{unit}"
         )
     typical = _fitted_step(rows)
+    if typical < LEAST_STEP:
+        what = f"`{path}` has {rows.size} rows in {rows[-1] - rows[0]:g} s, {typical:g} s from one to the next"
+        raise Refused(f"{what}; expected at least {LEAST_STEP:g} s{unit}")
     if is_denser := typical < (1.0 - PERIOD_TOLERANCE) * period:
         ticks = rows[0] + period * np.arange(int((rows[-1] - rows[0] + ROUNDING) / period) + 1)
         is_lost = np.zeros(ticks.size, dtype=np.bool_)
@@ -299,6 +335,9 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
         ticks, is_lost = _add_lost(rows, period)
     else:  # which no controller of this period replays
         ticks, is_lost = rows, np.zeros(rows.size, dtype=np.bool_)
+    if ticks.size < LEAST_TICKS:
+        what = f"`{path}` has {ticks.size} ticks of {period:g} s, of {rows.size} rows in {rows[-1] - rows[0]:g} s"
+        raise Refused(f"{what}; expected at least {LEAST_TICKS} ticks{unit}")
     # A row less than half a period before the tick of a lost one is another one's.
     held = np.where(is_lost, 0.5, HELD)
     is_recorded = ticks - rows[_last_row(rows, ticks)] <= held * period
@@ -326,7 +365,16 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
     return Ticks(found | {"time": times}, is_recorded)
 
 
-def _check_times(times: Array, path: Path) -> Array:
+def _likely_unit(scale: float | None, step: float, period: float) -> str:
+    """Return the unit, as a question, in which steps [s] of rows would be near the period [s], if it is another one."""
+    thousands = round(np.log10(period / step) / 3.0) if 0.0 < step < np.inf else 0
+    if scale is None or thousands == 0:
+        return ""
+    name = {0: "s", -1: "ms", -2: "us", -3: "ns"}.get(thousands + round(np.log10(scale) / 3.0), "another unit")
+    return f" (times in {name}?)"
+
+
+def _check_times(times: Array, path: Path, unit: str) -> Array:
     """Return the times of rows without those that the next row repeats, which are warned about."""
     if times.size == 0:
         raise Refused(f"`{path}` has no row")
@@ -340,7 +388,13 @@ def _check_times(times: Array, path: Path) -> Array:
         if is_wrong.any():
             row = int(is_wrong.argmax())
             what = f"row {row + 2} of `{path}` is {steps[row]:g} s after the one at {times[row]:g} s"
-            raise Refused(f"{what}; expected {expected} between the rows of a flight")
+            # Without the row whose time is wrong, its neighbours are two steps apart.
+            step = _typical_step(times)
+            over = np.concatenate([[3.0 * step], times[2:] - times[:-2], [3.0 * step]])[row : row + 2]
+            first, second = np.abs(over - 2.0 * step)
+            if first < 0.5 * second:
+                what = f"row {row + 1} of `{path}`, at {times[row]:g} s, is {-steps[row]:g} s after the next one"
+            raise Refused(f"{what}; expected {expected} between the rows of a flight{unit}")
     if (doubled := np.flatnonzero(steps == 0.0)).size:
         more = f", and {doubled.size - 1} more do so" if doubled.size > 1 else ""
         what = f"row {doubled[0] + 2} of `{path}` repeats the time of the row before, {times[doubled[0]]:g} s{more}"

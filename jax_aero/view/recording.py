@@ -270,6 +270,10 @@ def _run_file(path: Path) -> Path:
         return path / RUN_FILE
     if not path.is_file():
         raise Refused(f"there is no `{path}`; {EXPECTED}")
+    if path.suffix.lower() not in (".nc", ""):
+        from jax_aero.view.logs import instead_of
+
+        raise Refused(f"`{path}` is of a format that is not read; {EXPECTED}, or {instead_of(path)}")
     return path
 
 

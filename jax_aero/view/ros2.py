@@ -7,7 +7,7 @@ are seconds since the flight began.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -20,23 +20,36 @@ from jax_aero.view.topics import WORLD, Content, Topic, contents, force_and_torq
 BAG = "metadata.yaml"
 """Name of the file that makes a bag of a folder with an MCAP file."""
 
+FOREVER = {"sec": 9223372036, "nsec": 854775807}
+"""Longest duration of ROS 2: 2⁶³ − 1 ns."""
+
+LATCHED = {
+    "history": 1, "depth": 1, "reliability": 1, "durability": 1, "deadline": FOREVER, "lifespan": FOREVER,
+    "liveliness": 1, "liveliness_lease_duration": FOREVER, "avoid_ros_namespace_conventions": False,
+}  # fmt: skip
+"""Quality of service of a message for whoever listens later too: the last one, reliable, `transient_local`."""
+
+QOS = "offered_qos_profiles"
+"""Key of the quality of service of a topic, a list in YAML."""
+
 Message = Callable[[Any, dict[str, Any]], Any]
 """Function from the values and the header of a message to the message."""
 
 
-def describe_bag(file: str, counts: Mapping[tuple[str, str], int], end: int) -> str:
-    """Return the metadata of a bag of one file, with the messages of each topic and type, until `end` [ns]."""
-    about = {"serialization_format": "cdr", "offered_qos_profiles": ""}
-    topics = [
-        {"topic_metadata": {"name": topic, "type": kind, **about}, "message_count": count}
-        for (topic, kind), count in counts.items()
-    ]
+def describe_bag(file: str, topics: Sequence[tuple[Topic, int]], end: int) -> str:
+    """Return the metadata of a bag of one file, with the number of messages of each topic, until `end` [ns]."""
+
+    def about(topic: Topic) -> dict[str, str]:
+        quality = topic.metadata.get(QOS, "")
+        return {"name": topic.name, "type": topic.schema, "serialization_format": "cdr", QOS: quality}
+
+    described = [{"topic_metadata": about(topic), "message_count": count} for topic, count in topics]
     information = {
         "version": 5, "storage_identifier": "mcap", "relative_file_paths": [file], "duration": {"nanoseconds": end},
-        "starting_time": {"nanoseconds_since_epoch": 0}, "message_count": sum(counts.values()),
-        "topics_with_message_count": topics, "compression_format": "", "compression_mode": "",
+        "starting_time": {"nanoseconds_since_epoch": 0}, "message_count": sum(count for _, count in topics),
+        "topics_with_message_count": described, "compression_format": "", "compression_mode": "",
     }  # fmt: skip
-    return json.dumps({"rosbag2_bagfile_information": information}, indent=1) + "\n"  # JSON is YAML too
+    return json.dumps({"rosbag2_bagfile_information": information}, indent=1) + "\n"
 
 
 def encode(kind: str, message: Mapping[str, Any]) -> bytes:
@@ -87,6 +100,8 @@ def topics(recording: Recording) -> Iterator[Topic]:
             values = content.at(tick)
             return None if values is None else encode(kind, message(values, header))
 
+        if content.is_latched:
+            metadata = {**metadata, QOS: json.dumps([LATCHED])}  # JSON is YAML too
         definition, _ = _store().generate_msgdef(kind, ros_version=2)
         yield Topic(content.topic, kind, definition.encode(), encoded, metadata)
 
@@ -142,11 +157,11 @@ def _form(content: Content, recording: Recording) -> tuple[str, Message, dict[st
 def _transforms(frames: Any, header: dict[str, Any]) -> Any:
     transforms = [
         {
-            "header": header,
+            "header": {**header, "frame_id": parent},
             "child_frame_id": name,
             "transform": {"translation": named("xyz", position), "rotation": xyzw(wxyz)},
         }
-        for name, position, wxyz in frames
+        for parent, name, position, wxyz in frames
     ]
     return {"transforms": transforms}
 

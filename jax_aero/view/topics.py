@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,14 +22,18 @@ class Content(NamedTuple):
     Attributes
     ----------
     kind
-        `text`; `poses` of frames by name; `pose`; `joints`; `wrench`; or `signal`.
+        `text`; `poses`, each with the frame that it is in and the name of its own; `pose`; `joints`; `wrench`; or
+        `signal`.
     at
         Function from the number of a tick to the values of its message; `None` for no message.
+    is_latched
+        Whether its only message is one for whoever listens later too.
     """
 
     topic: str
     kind: str
     at: Callable[[int], Any]
+    is_latched: bool = False
 
 
 class Topic(NamedTuple):
@@ -54,12 +59,19 @@ class Topic(NamedTuple):
 def contents(recording: Recording) -> Iterator[Content]:
     """Yield what viewers draw, as far as the signals are there, and every signal; inertial axes, quaternions `wxyz`."""
     robot, log = recording.robot, recording.signals
-    yield Content("/robot_description", "text", lambda tick: robot.urdf_text if tick == 0 else None)
+    yield Content("/robot_description", "text", lambda tick: robot.urdf_text if tick == 0 else None, is_latched=True)
     instants = [recording.at(time) for time in log["time"]]
     positions = np.array([now.body_positions for now in instants]).tolist()
     turns = wxyz_from_rotation(np.array([now.body_rotations for now in instants])).tolist()
     names = robot.body_names
-    yield Content("/tf", "poses", lambda tick: list(zip(names, positions[tick], turns[tick], strict=True)))
+    yield Content("/tf", "poses", lambda tick: list(zip(repeat(WORLD), names, positions[tick], turns[tick])))
+    fixed = [
+        (names[body], link, position.tolist(), wxyz_from_rotation(rotation).tolist())
+        for link, (body, (rotation, position)) in robot.links().items()
+        if link not in names
+    ]
+    if fixed:
+        yield Content("/tf_static", "poses", lambda tick: fixed if tick == 0 else None, is_latched=True)
     desired = wxyz_from_rotation(rotation_from_rpy(log["base_rpy_setpoint"]))
     yield Content("/setpoint", "pose", lambda tick: (log["com_setpoint"][tick], desired[tick]))
     if {"joint_velocity", "joint_torque"} <= log.keys():

@@ -100,7 +100,7 @@ def write_video(
     panel = size[0] // len(flights)
     if panel < MIN_PANEL:
         raise Refused(f"{len(flights)} flights are given; expected at most {size[0] // MIN_PANEL} in {size[0]} pixels")
-    require(["av", "PIL"] if out.suffix == ".mp4" else ["PIL"], "writing a video")
+    require(["av", "PIL"] if out.suffix.lower() == ".mp4" else ["PIL"], "writing a video")
     times = frame_times(duration, fps, speed, start, end)
     with complete_file(out) as draft, ExitStack() as opened:
         bands = tuple(round(share * size[1]) for share in BANDS) if beside else (0, 0)
@@ -117,7 +117,7 @@ def write_video(
             cameras = [camera_at(scene.recording, time, viewpoint, distance) for scene in scenes]
             return _row(scenes, bands, cameras, time, end) if beside else _single(scenes[0], cameras[0], time, end)
 
-        _ENCODERS[out.suffix](draft, _frames(frame, times, progress), fps, size)
+        _ENCODERS[out.suffix.lower()](draft, _frames(frame, times, progress), fps, size)
     return len(times)
 
 
@@ -178,7 +178,7 @@ def _encode_pictures(draft: Path, frames: Iterator[Any], fps: float, _size: tupl
         "quality": WEBP_QUALITY,
         "method": 4,
     }
-    if draft.suffix == ".gif":
+    if draft.suffix.lower() == ".gif":
         pictures = [picture.quantize(256) for picture in pictures]
         # Times of a GIF are hundredths of a second, and players ignore durations below two of them.
         durations = [10 * max(hundredths, 2) for hundredths in _durations(len(pictures), 100.0 / fps)]

@@ -8,10 +8,12 @@ import xarray as xr
 
 from experiments.report.measures.standing import standing as measure
 from jax_aero import backends, rust
+from jax_aero.base import places
 from jax_aero.base.files import write_netcdf
 from jax_aero.commands.figures import main as draw
 from jax_aero.mujoco import ground
 from jax_aero.mujoco.ground import GroundPlant, begin, fly
+from jax_aero.mujoco.model import mujoco_model
 from jax_aero.results import record
 from jax_aero.rust import MODES
 
@@ -33,6 +35,22 @@ STUCK = {"joint": "l_knee", "kind": "stuck", "start": 1.0}
 
 def standing(**overrides):
     return rust.load_config("balancing_front", COARSE | overrides)
+
+
+def test_torques_are_bounded_by_the_robot_as_the_crate_reads_it(tmp_path):
+    """Not by the URDF's effort, where -1 is none: MuJoCo would bound the torque by 1 N m."""
+    folder = places.CONFIGS / "robot"
+    urdf, toml = ((folder / f"sparrow.{kind}").read_text() for kind in ("urdf", "toml"))
+    limit = 'effort="40"'
+    assert limit in urdf
+    (tmp_path / "sparrow.urdf").write_text(urdf.replace(limit, 'effort="-1"'))
+    path = tmp_path / "sparrow.toml"
+    path.write_text(toml.replace('{ name = "', '{ torque_max = 30.0, name = "'))
+    model = mujoco_model(str(path))
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 25.0
+    mujoco.mj_forward(model, data)
+    np.testing.assert_array_equal(data.qfrc_actuator[6:], 25.0)
 
 
 def early_wind(velocity, measured=True, duration=9.0, **overrides):

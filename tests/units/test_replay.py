@@ -194,6 +194,7 @@ def test_an_mcap_file_has_what_viewers_draw(written, flight, config):
     assert {topic: written[topic][0] for topic in written if not topic.startswith("/signals/")} == {
         "/robot_description": "std_msgs/String",
         "/tf": "foxglove.FrameTransforms",
+        "/tf_static": "foxglove.FrameTransforms",
         "/base": "foxglove.PoseInFrame",
         "/setpoint": "foxglove.PoseInFrame",
         "/joint_states": "foxglove.JointStates",
@@ -208,6 +209,17 @@ def test_an_mcap_file_has_what_viewers_draw(written, flight, config):
     assert [frame["child_frame_id"] for frame in frames["transforms"]] == list(robot.body_names)
     for frame, position, rotation in zip(frames["transforms"], pose.body_positions, pose.body_rotations, strict=True):
         assert (frame["parent_frame_id"], frame["timestamp"]) == ("world", {"sec": 0, "nsec": stamp})
+        assert list(frame["translation"].values()) == list(position)
+        turn = rust.rotation_from_wxyz([frame["rotation"][letter] for letter in "wxyz"])
+        np.testing.assert_allclose(turn, rotation, atol=1e-14)
+    ((stamp, fixed),) = written["/tf_static"][2]
+    assert (stamp, {*robot.links()}) == (
+        0,
+        {frame["child_frame_id"] for frame in (*frames["transforms"], *fixed["transforms"])},
+    )
+    for frame in fixed["transforms"]:
+        body, (rotation, position) = robot.links()[frame["child_frame_id"]]
+        assert frame["parent_frame_id"] == robot.body_names[body]
         assert list(frame["translation"].values()) == list(position)
         turn = rust.rotation_from_wxyz([frame["rotation"][letter] for letter in "wxyz"])
         np.testing.assert_allclose(turn, rotation, atol=1e-14)
@@ -591,7 +603,7 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
     (tmp_path / "damaged.mcap").write_bytes(content)
     refusals = {
         ("replay", result, "--set", "controller.torque.steps=10"): "whose ticks need the joints in between",
-        ("replay", result, "--map", foreign / "map.toml"): "expected it with a file of .mcap, .mat, .csv, .parquet",
+        ("replay", result, "--map", foreign / "map.toml"): "expected it with a file of .mcap, .mat, .csv, ",
         ("replay", foreign / "log.csv", "--experiment", "test2"): "expected a header with `time`",
         ("replay", foreign / "log.csv", "--map", foreign / "map.toml"): "expected --experiment NAME",
         ("replay", tmp_path / "empty.mcap"): "does not begin as an MCAP file",

@@ -1,11 +1,15 @@
 """Results: nothing is lost, nothing is silently wrong; what makes a number counts in its digest."""
 
+import errno
 import json
 import os
 import re
 import resource
+import signal
 import subprocess
 import sys
+import threading
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,7 +17,7 @@ import numpy as np
 import pytest
 
 from jax_aero import cli, rust
-from jax_aero.base import files, keys, places
+from jax_aero.base import files, keys, places, terminal
 from jax_aero.base.terminal import Refused
 from jax_aero.cli import main
 from jax_aero.figures import runs
@@ -246,13 +250,96 @@ def test_a_flight_that_another_process_flies_is_not_flown(flown, tmp_path, capsy
 def test_a_lock_of_another_machine_is_left_alone(tmp_path):
     lock = tmp_path / ".a.lock"
     lock.write_text(json.dumps({"pid": 1, "host": "elsewhere.invalid", "since": "2026"}))
-    expected = r"process 1 on elsewhere.invalid since 2026; if .* has ended, remove .*\.a\.lock"
+    expected = r"process 1 on elsewhere.invalid since 2026; if .* has ended, wait \d+ s or remove .*\.a\.lock"
     with pytest.raises(Refused, match=expected), files.lock(tmp_path / "a"):
         pass
     for nothing in ("", "[" * 4096):
         lock.write_text(nothing)
         with files.lock(tmp_path / "a"):
             assert json.loads(lock.read_text())["pid"] == os.getpid()
+
+
+def test_a_lock_of_another_machine_that_is_not_renewed_is_taken_over(tmp_path, monkeypatch):
+    """As by a job that a cluster starts anew on another node; one that is held is renewed."""
+    lock = tmp_path / ".a.lock"
+    holder = json.dumps({"pid": 1, "host": "elsewhere.invalid", "since": "2026"})
+    lock.write_text(holder)
+    os.utime(lock, times=(0, time.time() - 0.9 * files.STALE))
+    with pytest.raises(Refused, match=r"wait \d+ s or remove"), files.lock(tmp_path / "a"):
+        pass
+    os.utime(lock, times=(0, time.time() - 1.1 * files.STALE))
+    message = (
+        r"\.a\.lock of process 1 on elsewhere\.invalid since 2026 was not renewed for 3 minutes, and is taken over"
+    )
+    with pytest.warns(UserWarning, match=message), files.lock(tmp_path / "a"):
+        assert json.loads(lock.read_text())["pid"] == os.getpid()
+    assert not lock.exists()
+    monkeypatch.setattr(files, "RENEWAL", 0.01)
+    with files.lock(tmp_path / "a"):
+        os.utime(lock, times=(0, 0))
+        while lock.stat().st_mtime < time.time() - 60.0:
+            time.sleep(0.01)
+    assert not any(thread.name.endswith("(_renew)") for thread in threading.enumerate())
+
+
+def test_the_lock_of_another_user_says_whose_it_is(tmp_path, monkeypatch):
+    lock, opened = tmp_path / ".a.lock", os.open
+
+    def of_another(path, *rest):
+        if path == lock:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return opened(path, *rest)
+
+    monkeypatch.setattr(os, "open", of_another)
+    with pytest.raises(PermissionError), files.lock(tmp_path / "a"):  # of the folder
+        pass
+    os.close(opened(lock, os.O_CREAT))
+    message = rf"\.a\.lock is a lock of user {os.getuid()}, who removes it .* choose another --out"
+    with pytest.raises(Refused, match=message), files.lock(tmp_path / "a"):
+        pass
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_a_command_that_is_stopped_leaves_no_lock(name, tmp_path, start):
+    code = (
+        "import signal, sys, time; from pathlib import Path; from jax_aero.base import files, terminal\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL); signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "def work():\n    with files.complete_folder(Path(sys.argv[1])):\n"
+        "        print('held', flush=True); time.sleep(60)\n"
+        "sys.exit(terminal.run_with_output(lambda: terminal.exit_status(work)))"
+    )
+    holder = start(sys.executable, "-c", code, tmp_path / "a", cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert holder.stdout.readline() == b"held\n"
+    holder.send_signal(getattr(signal, name))
+    assert (holder.wait(), b"interrupted" in holder.stderr.read()) == (130, True)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_signal_that_is_ignored_stays_so(monkeypatch):
+    """As SIGHUP by `nohup`."""
+    monkeypatch.setattr(signal, "getsignal", {signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_IGN}.get)
+    caught = []
+    monkeypatch.setattr(signal, "signal", lambda number, handler: caught.append((number, handler)))
+    terminal.run_with_output(lambda: 0)
+    assert caught == [(signal.SIGTERM, signal.default_int_handler)]
+
+
+@pytest.mark.parametrize("name", [b"gr\xf6\xdfe", b"\xff", b"caf\xe9 x"])
+def test_a_folder_whose_name_is_no_text_has_results(name, tmp_path, capsys):
+    """As an archive of an old Windows writes them; a configuration in such a folder is refused."""
+    folder = tmp_path / os.fsdecode(name)
+    try:
+        folder.mkdir()
+    except OSError:
+        pytest.skip("the file system has names in UTF-8 only")
+    changes = ["--set", "simulator.duration=0.1"]
+    assert main(["fly", "test1", *changes, "--out", str(folder)]) == 0
+    (manifest,) = folder.rglob("manifest.json")
+    assert "--out" in json.loads(manifest.read_text())["command"]
+    capsys.readouterr()
+    (folder / "own.toml").write_text('base = "test1.toml"\n')
+    assert main(["fly", str(folder / "own.toml"), *changes]) == 2
+    assert "is not UTF-8; expected one that is" in capsys.readouterr().err
 
 
 # --- a disk that is full, or read-only

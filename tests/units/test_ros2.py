@@ -91,7 +91,8 @@ def test_a_bag_has_the_flight(read, flight):
     log, robot, k = flight.signals, flight.robot, 7
     stamp = 70_000_000
     assert [message.data for _, message in read["/robot_description"]] == [robot.urdf_text]
-    assert all(len(messages) == log["time"].size for topic, messages in read.items() if topic != "/robot_description")
+    once = ("/robot_description", "/tf_static")
+    assert all(len(messages) == (log["time"].size, 1)[topic in once] for topic, messages in read.items())
 
     at, odometry = read["/odom"][k]
     assert (at, odometry.header.stamp.sec, odometry.header.stamp.nanosec) == (stamp, 0, stamp)
@@ -110,6 +111,13 @@ def test_a_bag_has_the_flight(read, flight):
         np.testing.assert_array_equal(vector(frame.transform.translation), position)
         np.testing.assert_array_equal(vector(frame.transform.rotation, "wxyz"), wxyz_from_rotation(rotation))
 
+    fixed = {frame.child_frame_id: frame for frame in read["/tf_static"][0][1].transforms}
+    assert fixed.keys() == robot.links().keys() - {*robot.body_names}
+    for name, frame in fixed.items():
+        body, (_, position) = robot.links()[name]
+        assert frame.header.frame_id == robot.body_names[body]
+        np.testing.assert_array_equal(vector(frame.transform.translation), position)
+
     joints = read["/joint_states"][k][1]
     assert joints.name == list(robot.joint_names)
     for field, signal in (("position", "joint_position"), ("velocity", "joint_velocity"), ("effort", "joint_torque")):
@@ -117,6 +125,18 @@ def test_a_bag_has_the_flight(read, flight):
     wrench = read["/wrench/unmodelled"][k][1].wrench
     np.testing.assert_array_equal([*vector(wrench.force), *vector(wrench.torque)], log["unmodelled_wrench"][k])
     np.testing.assert_array_equal(vector(read["/setpoint"][k][1].pose.position), log["com_setpoint"][k])
+
+
+def test_a_viewer_that_starts_later_gets_what_is_sent_once(bag):
+    with rosbags.AnyReader([bag]) as reader:
+        lasting = {
+            connection.topic: [profile.durability.name for profile in connection.ext.offered_qos_profiles]
+            for connection in reader.connections
+        }
+    assert {topic for topic, durability in lasting.items() if durability == ["TRANSIENT_LOCAL"]} == {
+        "/robot_description",
+        "/tf_static",
+    }
 
 
 def test_a_bag_has_every_bit_of_every_signal(read, flight):

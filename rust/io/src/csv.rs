@@ -9,22 +9,7 @@ use std::borrow::Cow;
 use std::iter::once;
 
 /// Cells in which nothing was measured, but for signs; those with brackets and `1.#` are of Microsoft's C library.
-const EMPTY: [&str; 14] = [
-    "",
-    "na",
-    "n/a",
-    "nan",
-    "null",
-    "none",
-    "#n/a",
-    "<na>",
-    "nat",
-    "nan(ind)",
-    "nan(snan)",
-    "1.#ind",
-    "1.#qnan",
-    "1.#snan",
-];
+const EMPTY: &str = "|na|n/a|nan|null|none|#n/a|<na>|nat|nan(ind)|nan(snan)|1.#ind|1.#qnan|1.#snan";
 
 /// What the cells of a column hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -110,8 +95,8 @@ impl<'t> Csv<'t> {
                 first.get_or_insert((line, csv.names.join(",")));
             }
         }
-        let first = first.unwrap_or((1, "empty".to_owned()));
-        Err(BuildError::bad_value(place(file, first.0), first.1, header))
+        let (line, names) = first.unwrap_or((1, "empty".to_owned()));
+        Err(BuildError::bad_value(place(file, line), names, header))
     }
 
     /// Reads these columns of all rows.
@@ -150,7 +135,10 @@ impl<'t> Csv<'t> {
                 let (number, expected) = (self.number(column, &cell), kind.expected());
                 rows.numbers.push(number.filter(|number| kind.has(*number)).ok_or_else(|| {
                     let item = format!("column {} in {}", self.names[column], place(&self.file, line));
-                    BuildError::bad_value(item, if cell.is_empty() { "empty" } else { &cell }, expected)
+                    let hint =
+                        if cell.starts_with(['[', '(', '{']) { ", each in a column of its own" } else { "" };
+                    let value = if cell.is_empty() { "empty" } else { &cell };
+                    BuildError::bad_value(item, value, format!("{expected}{hint}"))
                 })?);
             }
             rows.lines.push(line);
@@ -160,15 +148,12 @@ impl<'t> Csv<'t> {
 
     fn number(&self, column: usize, cell: &str) -> Option<f64> {
         let bare = cell.strip_prefix(['+', '-']).filter(|bare| !bare.is_empty()).unwrap_or(cell);
-        if EMPTY.iter().any(|empty| empty.eq_ignore_ascii_case(bare)) {
+        if EMPTY.split('|').any(|empty| empty.eq_ignore_ascii_case(bare)) {
             return Some(f64::NAN);
         }
         let number = if self.separator == b',' { cell.parse() } else { cell.replace(',', ".").parse() };
         let is_missing = || self.missing.iter().any(|(of, text)| *of == self.names[column] && text == cell);
-        number.ok().or_else(|| match bare {
-            "1.#INF" => Some(f64::INFINITY.copysign(if cell.starts_with('-') { -1.0 } else { 1.0 })),
-            _ => is_missing().then_some(f64::NAN),
-        })
+        number.ok().or_else(|| is_missing().then_some(f64::NAN))
     }
 
     /// The line and the cells of the next row; `None` at the end.

@@ -29,6 +29,7 @@ pub fn read_bytes(path: &Path) -> Result<Arc<[u8]>, BuildError> {
     if let Some(bytes) = find_held(path) {
         return Ok(bytes);
     }
+    check_text(path)?;
     let metadata = std::fs::metadata(path).map_err(|source| read_error(path, source))?;
     if !metadata.is_file() || metadata.len() > MAX_LENGTH {
         let message = format!("expected a regular file of at most {MAX_LENGTH} bytes");
@@ -59,7 +60,14 @@ pub(crate) fn absolute_path(path: &Path) -> Result<PathBuf, BuildError> {
     if find_held(path).is_some() {
         return Ok(normalise(path));
     }
-    path.canonicalize().map_err(|source| read_error(path, source))
+    let path = path.canonicalize().map_err(|source| read_error(path, source))?;
+    check_text(&path).map(|()| path)
+}
+
+/// Refuses a path that no configuration, a text in UTF-8, can name.
+fn check_text(path: &Path) -> Result<(), BuildError> {
+    let expected = "its name, or that of a folder of it, is not UTF-8; expected one that is, as a configuration names it";
+    path.to_str().map(|_| ()).ok_or_else(|| BuildError::malformed(path.display().to_string(), expected))
 }
 
 fn read_error(path: &Path, source: std::io::Error) -> BuildError {

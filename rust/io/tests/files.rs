@@ -39,6 +39,19 @@ fn paths_of_held_files() {
     );
 }
 
+/// A path becomes text in a resolved configuration, where bytes of another encoding would lead nowhere.
+#[cfg(unix)]
+#[test]
+fn paths_that_are_no_text() {
+    use std::os::unix::ffi::OsStrExt;
+    for name in [&b"gr\xf6\xdfe/a.toml"[..], b"\xff", b"caf\xe9/sub/a.toml"] {
+        let path = Path::new(std::ffi::OsStr::from_bytes(name));
+        let shown = path.display().to_string();
+        assert_says(&read_text(path).unwrap_err(), &[&shown, "is not UTF-8; expected"]);
+    }
+    assert_says(&read_text(Path::new("größe/a.toml")).unwrap_err(), &["cannot read", "größe/a.toml"]);
+}
+
 /// A file anywhere reads as if it stood among the shipped ones: their names and paths lead to them, unless its own do.
 #[test]
 fn files_beside_the_shipped_ones() {

@@ -123,7 +123,7 @@ fn check_period(log: &FlightLog, time_step: f64, steps: u32) -> Result<(), Build
             "controller.time_step over controller.torque.steps, {steps}, whose ticks need the joints in between"
         )
     } else {
-        "controller.time_step".to_owned()
+        "controller.time_step, of which controller.mpc.period and knots are whole numbers".to_owned()
     };
     Err(BuildError::bad_value("period of the log", format!("{period} s"), format!("{expected} s, {why}")))
 }

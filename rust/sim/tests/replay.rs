@@ -103,7 +103,10 @@ fn a_log_that_no_tick_fits_is_refused() {
     without.series.clear();
     assert_says(&replay(&config, &without).unwrap_err(), &["number of rows of the log is 0"]);
     config.controller.law.time_step = 0.005;
-    assert_says(&replay(&config, &log).unwrap_err(), &["period of the log", "0.005", "controller.time_step"]);
+    assert_says(
+        &replay(&config, &log).unwrap_err(),
+        &["period of the log", "0.005", "controller.time_step", "controller.mpc.period and knots"],
+    );
     config.controller.law.time_step = 0.01;
     let mut doubled = log.clone();
     let time = doubled.series.iter_mut().find(|series| series.signal.name == "time").unwrap();

@@ -124,7 +124,7 @@ impl MpcConfig {
             })?;
         }
         let is_whole = |value: f64| (value / time_step - (value / time_step).round()).abs() < 1e-6;
-        let expected = format!("a whole number of ticks of {time_step} s");
+        let expected = format!("a whole number of ticks of {time_step} s, controller.time_step");
         MPC.check("period", self.period, |x| x > 0.0 && is_whole(x), &expected)?;
         let count = self.knots.len();
         if count == 0 || count > KNOTS_MAX {

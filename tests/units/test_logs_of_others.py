@@ -1,0 +1,273 @@
+"""Tables and messages as other programs write them: formats, texts, and units of time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from jax_aero import __main__ as commands
+from jax_aero import rust
+from jax_aero.base.terminal import Refused
+from jax_aero.view import logs
+
+EXPERIMENT = "platform_hover"
+PERIOD = 0.01
+ROWS = 40
+SIGNALS = {
+    "raw_base_position": ["x", "y", "z"],
+    "raw_base_quaternion": ["qw", "qx", "qy", "qz"],
+    "raw_base_velocity": ["vx", "vy", "vz", "p", "q", "r"],
+    "raw_thrust": [f"f{place}" for place in range(8)],
+    "raw_wind": ["wx", "wy", "wz"],
+}
+
+
+@pytest.fixture(scope="module")
+def config():
+    return rust.load_config(EXPERIMENT)
+
+
+@pytest.fixture(scope="module")
+def signals(config):
+    jets = len(rust.Robot(config["robot"]).jet_names)
+    return SIGNALS | {"raw_thrust": SIGNALS["raw_thrust"][:jets]}
+
+
+@pytest.fixture(scope="module")
+def table(signals):
+    """A robot that climbs at 1 m/s."""
+    names = [name for columns in signals.values() for name in columns]
+    rows = pd.DataFrame(0.0, index=range(ROWS), columns=names)
+    return rows.assign(z=PERIOD * np.arange(ROWS), qw=1.0, vz=1.0)
+
+
+SECONDS = PERIOD * np.arange(ROWS)
+
+
+def mapping(folder, signals, time='columns = "t"', **more):
+    """Write a file that names the columns; `more` are further keys of a signal."""
+    lines = [f"time = {{ {time} }}"]
+    for name, columns in signals.items():
+        lines.append(f"{name} = {{ columns = {json.dumps(columns)}{', ' + more[name] if name in more else ''} }}")
+    (folder / "map.toml").write_text("\n".join(lines))
+    return folder / "map.toml"
+
+
+def ticks(path, config, columns):
+    log = logs.read(path, config, columns)
+    return logs.at_ticks(log, rust.Robot(config["robot"]), PERIOD, Path(path.name))
+
+
+def check(found):
+    """The log is that of `table`."""
+    np.testing.assert_allclose(found.signals["time"], SECONDS, atol=1e-9)
+    np.testing.assert_allclose(found.signals["raw_base_position"][:, 2], SECONDS, atol=1e-12)
+    assert found.is_recorded.all()
+
+
+# --- units of time
+
+START = pd.Timestamp("2026-03-01T12:00:00.25")
+MOMENTS = START + pd.to_timedelta((SECONDS * 1e9).round(), unit="ns")
+
+
+@pytest.mark.parametrize("scale", ["", ", scale = 1e-9", ", scale = 1e-3"])
+@pytest.mark.parametrize(
+    "times",
+    [
+        MOMENTS.astype("datetime64[ms]"),
+        MOMENTS.astype("datetime64[us]"),
+        MOMENTS.astype("datetime64[ns]"),
+        MOMENTS.tz_localize("Asia/Tokyo").as_unit("us"),
+        (MOMENTS - START).astype("timedelta64[ms]"),
+        [moment.isoformat() for moment in MOMENTS],
+    ],
+    ids=["ms", "us", "ns", "zone", "duration", "text"],
+)
+def test_a_column_with_a_unit_has_it_whatever_the_scale_says(times, scale, table, signals, config, tmp_path):
+    path = tmp_path / "log.parquet"
+    table.assign(t=times).to_parquet(path)
+    check(ticks(path, config, mapping(tmp_path, signals, f'columns = "t"{scale}')))
+
+
+@pytest.mark.parametrize("form", ["{:%Y-%m-%dT%H:%M:%S.%fZ}", "{:%Y-%m-%d %H:%M:%S.%f}000+02:00"])
+def test_times_in_words_of_iso_8601_have_a_unit(form, table, signals, config, tmp_path):
+    path, columns = tmp_path / "log.csv", mapping(tmp_path, signals, 'columns = "t", scale = 1e-3')
+    words = [form.format(moment) for moment in MOMENTS]
+    table.assign(t=words).to_csv(path, index=False)
+    check(ticks(path, config, columns))
+    table.assign(t=[*words[:7], "noon", *words[8:]]).to_csv(path, index=False)
+    with pytest.raises(Refused, match=r"expected a number, or nothing, or ISO 8601 \(.*noon"):
+        ticks(path, config, columns)
+    table.assign(t=["noon", *words[1:]]).to_csv(path, index=False)
+    with pytest.raises(Refused, match=r"column t in line 2 of .* is noon; expected a number"):
+        ticks(path, config, columns)
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    ("unit", "scale", "likely"),
+    [(1.0, 1e-3, "s"), (1e3, 1.0, "ms"), (1e6, 1e-9, "us"), (1e6, 1e-8, "us"), (1e9, 1e-6, "ns"), (1e9, 1e-3, "ns")],
+)
+def test_another_unit_of_time_is_refused_with_the_likely_one(
+    form, unit, scale, likely, table, signals, config, tmp_path, capsys
+):
+    path, columns = tmp_path / f"log.{form}", mapping(tmp_path, signals, f'columns = "t", scale = {scale}')
+    getattr(table.assign(t=1e3 + SECONDS * unit), f"to_{form}")(path, index=False)
+    with pytest.raises(Refused, match=rf"expected .*\(times in {likely}\?\)"):
+        ticks(path, config, columns)
+    for command in (("replay", path), ("export", path, "--csv", "--out", tmp_path / "out.csv")):
+        words = [*command, "--experiment", EXPERIMENT, "--map", columns]
+        assert commands.main([str(word) for word in words]) == 2, command
+        assert f"(times in {likely}?)" in capsys.readouterr().err
+    mapping(tmp_path, signals, f'columns = "t", scale = {1.0 / unit}')
+    check(ticks(path, config, columns))
+
+
+def test_a_log_of_few_ticks_is_refused_and_a_fast_one_is_not(table, signals, config, tmp_path):
+    path, columns = tmp_path / "log.csv", mapping(tmp_path, signals)
+    table.assign(t=SECONDS)[:9].to_csv(path, index=False)
+    with pytest.raises(Refused, match=r"log.csv. has 9 ticks of 0\.01 s, .*; expected at least 10 ticks$"):
+        ticks(path, config, columns)
+    fast = table.loc[table.index.repeat(25)].assign(t=4e-4 * np.arange(25 * ROWS))
+    fast.to_csv(path, index=False)
+    assert ticks(path, config, columns).signals["time"].size == ROWS
+
+
+def test_the_row_whose_time_is_corrupt_is_named(table, signals, config, tmp_path):
+    """Not the sound one after it."""
+    path, columns = tmp_path / "log.csv", mapping(tmp_path, signals)
+    for row, time in ((9, 9000.0), (9, 0.115), (9, -5.0), (0, 1.7e9), (ROWS - 1, -1.0), (ROWS - 1, 1e4), (20, 30.0)):
+        times = SECONDS.copy()
+        times[row] = time
+        table.assign(t=times).to_csv(path, index=False)
+        with pytest.raises(Refused, match=rf"^row {row + 1} of .*; expected "):
+            ticks(path, config, columns)
+
+
+# --- stamps of messages
+
+
+@pytest.mark.parametrize(
+    "stamp",
+    [
+        lambda ns: {"sec": ns // 10**9, "nanosec": ns % 10**9},
+        lambda ns: {"sec": ns // 10**9, "nsec": ns % 10**9},
+        lambda ns: {"secs": ns // 10**9, "nsecs": ns % 10**9},
+        lambda ns: {"seconds": ns // 10**9, "nanos": ns % 10**9},
+        lambda ns: f"{pd.Timestamp(ns, tz='UTC').isoformat()}",
+        lambda ns: f"{pd.Timestamp(ns).isoformat()}Z",
+        lambda ns: ns * 1e-9,
+    ],
+)
+def test_stamps_have_the_forms_of_their_programs(stamp, table, signals, config, tmp_path):
+    writer = pytest.importorskip("mcap.writer", reason="mcap is not installed: make setup")
+    path = tmp_path / "log.mcap"
+
+    def write(stamp):
+        with path.open("wb") as file:
+            log = writer.Writer(file)
+            log.start()
+            channel = log.register_channel("/a/base", "json", 0)
+            for number, row in enumerate(table.to_dict("records")):
+                ns = MOMENTS[number].value
+                message = row | {"header": {"stamp": stamp(ns)}}
+                log.add_message(channel, ns + 3_000_000 * (number % 2), json.dumps(message).encode(), 0)
+            log.finish()
+
+    named = {name: [f"/a/base/{column}" for column in columns] for name, columns in signals.items()}
+    columns = mapping(tmp_path, named, 'columns = ["/a/base/header/stamp"]')
+    write(stamp)
+    found = ticks(path, config, columns)
+    # Four units in the last place of seconds since 1970.
+    atol = 4.0 * np.spacing(MOMENTS[0].timestamp()) if isinstance(stamp(0), float) else 1e-9
+    np.testing.assert_allclose(found.signals["time"], SECONDS, atol=atol)
+    for wrong in ({"s": 1, "ns": 2}, "noon", None, {"sec": 1}):
+        write(lambda _, wrong=wrong: wrong)
+        with pytest.raises(Refused, match=r"sec with nanosec, sec with nsec, .*, or a text of ISO 8601"):
+            ticks(path, config, columns)
+
+
+# --- what tables of others hold
+
+
+@pytest.mark.parametrize("name", ["LOG0001.CSV", "log.tsv", "log.Txt", "LOG.PARQUET"])
+def test_suffixes_are_those_of_others(name, table, signals, config, tmp_path):
+    path = tmp_path / name
+    log = table.assign(t=SECONDS)
+    if path.suffix.lower() == ".parquet":
+        log.to_parquet(path)
+    else:
+        log.to_csv(path, index=False, sep={".csv": ",", ".tsv": "\t", ".txt": " "}[path.suffix.lower()])
+    check(ticks(path, config, mapping(tmp_path, signals)))
+
+
+def test_numpys_tables_have_their_header_in_a_comment(table, signals, config, tmp_path):
+    path, log = tmp_path / "log.txt", table.assign(t=SECONDS)
+    for separator, title in ((" ", ""), (",", ""), ("\t", "of a rig\n")):
+        np.savetxt(path, log.to_numpy(), delimiter=separator, header=title + separator.join(log))
+        check(ticks(path, config, mapping(tmp_path, signals)))
+
+
+@pytest.mark.parametrize("word", ["-nan(ind)", "1.#QNAN", "#N/A", "NaN", "", "<NA>"])
+def test_missing_numbers_of_other_programs_are_none(word, table, signals, config, tmp_path):
+    path, log = tmp_path / "log.csv", table.assign(t=SECONDS).astype(object)
+    log.loc[[3, 4], ["wx", "wy", "wz"]] = word
+    log.to_csv(path, index=False)
+    wind = ticks(path, config, mapping(tmp_path, signals)).signals["raw_wind"]
+    assert np.flatnonzero(np.isnan(wind).any(axis=1)).tolist() == [3, 4]
+
+
+def test_a_text_that_means_missing_is_declared(table, signals, config, tmp_path):
+    path, log = tmp_path / "log.csv", table.assign(t=SECONDS).astype(object)
+    log.loc[[3, 4], "wx"] = "OFF"
+    log.loc[5, "wx"] = 99.0
+    log.to_csv(path, index=False)
+    with pytest.raises(Refused, match=r"column wx in line 5 of .* is OFF; expected a number, or nothing"):
+        ticks(path, config, mapping(tmp_path, signals, raw_wind="missing = [99.0]"))
+    wind = ticks(path, config, mapping(tmp_path, signals, raw_wind='missing = ["OFF", 99.0]')).signals["raw_wind"]
+    assert np.flatnonzero(np.isnan(wind).any(axis=1)).tolist() == [3, 4, 5]
+    log.loc[7, "z"] = "OFF"  # which it does not mean in another column
+    log.to_csv(path, index=False)
+    with pytest.raises(Refused, match=r"column z in line 9 of .* is OFF"):
+        ticks(path, config, mapping(tmp_path, signals, raw_wind='missing = ["OFF", 99.0]'))
+
+
+@pytest.mark.parametrize("form", ["[{0}, {1}, {2}]", "({0};{1};{2})", "{{{0} {1} {2}}}"])
+def test_a_cell_of_several_numbers_says_what_is_read(form, table, signals, config, tmp_path):
+    path = tmp_path / "log.csv"
+    cells = [form.format(x, y, z) for x, y, z in table[["x", "y", "z"]].itertuples(index=False)]
+    table.assign(t=SECONDS, x=cells).to_csv(path, index=False)
+    with pytest.raises(Refused, match=r"column x in line 2 of .* expected a number, or nothing, each in a column"):
+        ticks(path, config, mapping(tmp_path, signals))
+
+
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        ("flight.ulg", "ulog2csv"),
+        ("00000012.BIN", "mavlogdump"),
+        ("a.bag", "PlotJuggler"),
+        ("a_0.db3", "ros2 bag convert"),
+        ("a.csv.gz", "unpack"),
+        ("a.foo", "or a file of .mcap"),
+    ],
+)
+def test_formats_that_are_not_read_say_what_makes_one_that_is(name, way, signals, tmp_path, capsys):
+    path = tmp_path / name
+    path.touch()
+    for words in (
+        ("replay", path),
+        ("replay", path, "--map", mapping(tmp_path, signals), "--experiment", EXPERIMENT),
+        ("export", path, "--csv", "--out", tmp_path / "a.csv"),
+    ):
+        assert commands.main([str(word) for word in words]) == 2
+        err = capsys.readouterr().err
+        assert ".mcap, .mat, .csv, .tsv, .txt, .parquet" in err
+        assert "damaged" not in err
+        if way[:2] != "or":
+            assert way in err
