@@ -405,7 +405,9 @@ def estimate(
                 information, slope = information + added[0], slope - added[1]
                 # Noise of thrusts multiplies their gains, and that of accelerations masses, arms and inertias: without
                 # what it adds to the residual in the mean, it would make them small.
-                slope[gains] += sigma[gains] * (added[2].sum(axis=0) @ noisy)
+                pull = added[2].sum(axis=0) @ noisy
+                slope[gains] += sigma[gains] * pull
+                slope[: int(width[0] > 0.0)] -= sigma[0] * pull.sum()  # since the residual is over the mass's factor
                 slope += sigma * np.tensordot((added[2] * covered).T @ spectrum, of_mass, 2)
             covariance = np.linalg.inv(information)
             theta[free] += sigma * (covariance @ slope)
