@@ -15,11 +15,13 @@ use flight_core::control::mpc::nonlinear::riccati::Riccati;
 use flight_core::jets::JetDynamics;
 use flight_core::spatial::exp_so3;
 use flight_io::{load_aero, load_robot};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::RngExt;
 
 /// Step of central differences.
 const STEP: f64 = 1e-5;
+/// Greatest difference from JAX's expansions, relative to numbers greater than one.
+const TOLERANCE: f64 = 1e-5;
 
 /// `state` with one difference changed.
 fn moved(state: &State, place: usize, by: f64) -> State {
@@ -115,6 +117,89 @@ fn the_expansion_is_that_of_differences() {
             let (found, expected) = (expansion.gradient[column], (cost_above - cost_below) / (2.0 * STEP));
             let scale = 1.0 + expected.abs();
             assert!((found - expected).abs() <= 1e-4 * scale, "cost by {column}: {found}, {expected}");
+        }
+    }
+}
+
+/// The expansion is that of JAX's derivatives, within and beyond limits: `tests/parity/test_knot.py` stores it times vectors.
+#[test]
+fn the_expansion_is_that_of_jax() {
+    let config = experiment("robot");
+    let mpc = config.controller.law.mpc.clone().unwrap();
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/knots.toml");
+    let stored: toml::Table = std::fs::read_to_string(path).unwrap().parse().unwrap();
+    for (number, case) in stored["case"].as_array().unwrap().iter().enumerate() {
+        let read = |name: &str| -> Vec<f64> {
+            case[name].as_array().unwrap().iter().map(|x| x.as_float().unwrap()).collect()
+        };
+        let vector = |name: &str| Vector3::from_row_slice(&read(name));
+        let robot = load_robot(&config.robot).unwrap();
+        let mut aero = load_aero(&config.controller.aero, &robot).unwrap();
+        let mut seen = random_state(&mut rng(0), &robot);
+        seen.joint_position.copy_from_slice(&read("posture"));
+        let mut controller = Running::new(config.controller(robot).unwrap());
+        controller.tick(&Measurement { wind: vector("wind"), ..at(0.0, &seen, &[80.0; 4]) });
+        let (now, robot) = (
+            Present { estimate: controller.state().estimate(), terms: controller.terms() },
+            controller.model(),
+        );
+        let joints = mpc.joints(robot).unwrap();
+        let clearance = Clearance::new(mpc.clearance.as_ref(), robot, joints.len()).unwrap();
+        let jets = robot.jet_models(config.controller.law.jet_dynamics);
+        let mut knot = Knot::new(&mpc, robot, jets, joints, clearance);
+        let world = World {
+            robot,
+            conventions: LinkConventions::default(),
+            air: mpc.air,
+            now,
+            posture: controller.state().posture(),
+            ground: 0.0,
+            speed: 0.5,
+        };
+        knot.begin(&world);
+        let state = State {
+            height: read("height")[0],
+            velocity: vector("velocity"),
+            rotation: Matrix3::from_row_slice(&read("rotation")),
+            momentum: vector("momentum"),
+            thrust: read("thrust"),
+            rate: read("rate"),
+            joints: read("joints"),
+        };
+        let (inputs, durations) = (read("inputs"), read("durations"));
+        let (n, m) = (state.size(), inputs.len());
+        let (mut next, mut expansion) = (state.clone(), Expansion::new(n, m));
+        let durations = (durations[0], durations[1]);
+        knot.advance(&mut aero, &world, (&state, &inputs), durations, &mut next, &mut expansion).unwrap();
+
+        let mut after = vec![next.height];
+        after
+            .extend(next.velocity.iter().chain(next.rotation.transpose().iter()).chain(next.momentum.iter()));
+        after.extend(next.thrust.iter().chain(&next.rate).chain(&next.joints));
+        let along = |matrix: &[f64], rows: usize| -> Vec<f64> {
+            let matrix = DMatrix::from_column_slice(rows, n + m, matrix);
+            let direction = |turns: f64| DVector::from_fn(n + m, |k, _| (turns * (k + 1) as f64).cos());
+            let product = |turns: f64| (&matrix * direction(turns)).as_slice().to_vec();
+            [1.0, 2.0, 3.0].into_iter().flat_map(product).collect()
+        };
+        let found = [
+            ("next", after),
+            ("dynamics", along(&expansion.dynamics, n)),
+            ("cost", vec![expansion.cost]),
+            ("gradient", expansion.gradient.clone()),
+            ("hessian", along(&expansion.hessian, n + m)),
+        ];
+        for (name, found) in found {
+            let expected = read(name);
+            assert_eq!(found.len(), expected.len());
+            for (place, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                // The crate has derivatives of engines by differences of 1e-4.
+                let most = TOLERANCE * (1.0 + expected.abs());
+                assert!(
+                    (found - expected).abs() <= most,
+                    "case {number}: {name} {place}: {found}, {expected}"
+                );
+            }
         }
     }
 }

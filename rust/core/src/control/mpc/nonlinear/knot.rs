@@ -1,4 +1,6 @@
 //! The dynamics at a knot, the motion to the next one, and the cost, both expanded.
+//!
+//! Equations M178 to M180 of `docs/model`.
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::momentum::{AeroFeedback, MomentumModel, RateFeedback};
