@@ -355,7 +355,7 @@ fn joint(node: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Joint, String
             limit.is_some_and(|limit| ["lower", "upper"].iter().any(|key| limit.has_attribute(*key)));
         let limit = |key| limit.map_or(Ok(0.0), |limit| bound(limit, key));
         // Several tools write −1 or infinity where they know no limit.
-        let greatest = |key| limit(key).map(|x| if x == -1.0 || x.is_infinite() { 0.0 } else { x });
+        let greatest = |key| limit(key).map(|x| if x + 1.0 == 0.0 || x.is_infinite() { 0.0 } else { x });
         let (lower, upper) = if has_range { (limit("lower")?, limit("upper")?) } else { (0.0, 0.0) };
         let is_range = lower < upper && lower.is_finite() && upper.is_finite();
         let is_unlimited = (lower, upper) == (f64::NEG_INFINITY, f64::INFINITY);
