@@ -281,7 +281,7 @@ first steps:
   jax-aero fly --list                    what there is to fly
   jax-aero fly test1 test2               fly it: how it ended, and a folder with every signal
   jax-aero fly test1 --set wind.velocity=[0,-12,0]
-  jax-aero figures fig5 --runs test2 test1
+  jax-aero figures compare --runs test1 test2
   jax-aero COMMAND --help                what a command takes
 
 Results go to results/ of the clone, wherever a command is called, or without a clone of the current folder;

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from jax_aero import rust
 from jax_aero.base import documents, flights, keys, places, run_file
 from jax_aero.base.files import find_damaged, read_json
-from jax_aero.base.parquet import read_rows
 from jax_aero.base.result import ending
 from jax_aero.base.terminal import Refused
-from jax_aero.results import outdated
+from jax_aero.results import outdated, sweep
 from jax_aero.results.outdated import ANOTHER
+from jax_aero.results.sweep import SweepResult
 from jax_aero.rust import SETTLING_TIME
 
 Array: TypeAlias = NDArray[Any]
@@ -178,37 +178,6 @@ class Flight:
         return start, rust.Robot(str(places.ROBOT)).mass
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """One finished sweep."""
-
-    document: dict[str, Any]
-    cells: list[dict[str, Any]]
-    differs: str = ""
-    """Difference of its configuration from the present one; empty if there is none."""
-
-    @property
-    def axes(self) -> list[str]:
-        """Return the names of its axes."""
-        return [axis["name"] for axis in self.document["axes"]]
-
-    def cell(self, **labels: object) -> Cell:
-        """Return the only cell with these levels; `KeyError` if there is none, as in a sweep of other levels."""
-        found = self.select(**labels)
-        if not found:
-            raise KeyError(", ".join(f"{name} = {label}" for name, label in labels.items()))
-        (cell,) = found
-        return cell
-
-    def select(self, **labels: object) -> list[dict[str, Any]]:
-        """Return the cells with these levels."""
-        return [cell for cell in self.cells if all(cell[name] == label for name, label in labels.items())]
-
-    def levels(self, axis: str) -> list[Any]:
-        """Return the levels of an axis, in order."""
-        return list(dict.fromkeys(cell[axis] for cell in self.cells))
-
-
 class Origin(NamedTuple):
     """Origin of a result."""
 
@@ -247,26 +216,19 @@ class Results:
         return found
 
     @cached_property
-    def sweeps(self) -> dict[str, Sweep]:
+    def sweeps(self) -> dict[str, SweepResult]:
         """Return every finished sweep, by name."""
-        found = {}
-        for path in sorted((self.folder / "sweeps").glob("[!.]*/cells.parquet")):
-            described = path.with_name("sweep.json")
-            if "finished" in read_json(described):
-                document = read_json(described, documents.FinishedSweep)
-                _require_whole(path.parent, document["finished"])
-                name, (columns, cells) = path.parent.name, read_rows(path)
-                axes = [axis["name"] for axis in document["axes"]]
-                if missing := {*axes, "flights", "completed"} - set(columns):
-                    raise Refused(f"{path} has no column `{min(missing)}`; --overwrite flies it again")
-                found[name] = Sweep(document, cells, outdated.sweep(path.parent, document))
-        return found
+        folders = sorted(path.parent for path in (self.folder / "sweeps").glob("[!.]*/cells.parquet"))
+        whole = (folder for folder in folders if "finished" in read_json(folder / places.SWEEP_FILE))
+        return {folder.name: sweep.read(folder) for folder in whole}
 
     @cached_property
     def differences(self) -> dict[str, str]:
         """Return the difference of every flight and sweep from today's, by name; empty if there is none."""
         flights = {name: outdated.flight(name, flight.document) for name, flight in self.flights.items()}
-        return flights | {f"sweep {name}": sweep.differs for name, sweep in self.sweeps.items()}
+        swept = {name: self.folder / "sweeps" / name for name in self.sweeps}
+        sweeps = {f"sweep {name}": outdated.sweep(at, self.sweeps[name].document) for name, at in swept.items()}
+        return flights | sweeps
 
     @property
     def refused(self) -> dict[str, str]:
@@ -280,15 +242,15 @@ class Results:
         self._use(name, self.flights[name].document, self.differences[name])
         return self.flights[name]
 
-    def sweep(self, name: str) -> Sweep:
+    def sweep(self, name: str) -> SweepResult:
         """Return a finished sweep without failed flights."""
         if name not in self.sweeps:
             raise NotFlownError(f"`jax-aero sweep {name}` has not been run")
-        found = self.sweeps[name]
+        found, differs = self.sweeps[name], self.differences[f"sweep {name}"]
         failed = found.document["finished"]["outcomes"].get("error")
-        if failed and (self.stale or not found.differs):
+        if failed and (self.stale or not differs):
             raise NotFlownError(f"{failed} flights of `jax-aero sweep {name}` could not be flown")
-        self._use(f"sweep {name}", found.document, found.differs)
+        self._use(f"sweep {name}", found.document, differs)
         return found
 
     def study(self, kind: str, name: str) -> dict[str, Any]:

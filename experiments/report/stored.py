@@ -33,9 +33,9 @@ def findings() -> dict[str, Finding]:
 
 
 def _find(document: Kept, asked: Criterion, differs: str) -> Finding:
-    axes = [axis.name for axis in document.axes]
-    pooled = {*axes} - {*asked.cells} if asked.share else set()
-    found = of_cells([cell for cell in document.cells(pooled) if asked.covers(cell)], axes, asked)
+    axes = {axis.name for axis in document.axes}
+    cells = document.table(axes - {*asked.cells}) if asked.share else document.sweep.rows
+    found = of_cells([cell for cell in cells if asked.covers(cell)], document.sweep.names, asked)
     verdict = judge.of_sweep(document.name, asked).judge(found.cases)
     if differs:
         return Finding(f"{found.text}; {ANOTHER}: {differs}", Verdict.of(Kind.OUTDATED, verdict.text), document.commit)

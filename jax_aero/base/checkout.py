@@ -12,6 +12,12 @@ from jax_aero.base import places
 from jax_aero.base.terminal import Refused
 
 
+def require() -> None:
+    """Refuse to go on without a checkout."""
+    if not places.IS_CHECKOUT:
+        raise Refused("this needs a checkout of the repository, with its folders `experiments` and `paper_figs`")
+
+
 def modules(pattern: str) -> list[str]:
     """Return the names of the modules of a checkout whose files have this pattern; none without a checkout."""
     found = sorted(places.HOME.glob(pattern)) if places.IS_CHECKOUT else []
@@ -26,8 +32,7 @@ def load(name: str) -> Any:
     Refused
         Without a checkout, or if another package of that name is imported already.
     """
-    if not places.IS_CHECKOUT:
-        raise Refused("this needs a checkout of the repository, with its folders `experiments` and `paper_figs`")
+    require()
     top = name.partition(".")[0]
     folder = places.HOME / top
     if top not in sys.modules:

@@ -63,9 +63,3 @@ def read_table(path: Path, most: int | None = None) -> Any:
         return read_parquet(read_bytes(path, sizes.MAX_TABLE), most)
     except Exception as reason:  # the readers raise many types
         raise Refused(f"{path} is damaged ({reason})") from None
-
-
-def read_rows(path: Path) -> tuple[list[str], list[dict[str, Any]]]:
-    """Read the names of the columns, and the rows, of a table of cells, which is smaller than one of flights."""
-    table = read_table(path, sizes.MAX_OBJECTS)
-    return table.column_names, table.to_pylist()

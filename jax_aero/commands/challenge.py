@@ -28,7 +28,7 @@ from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.figures import kept as pictures
 from jax_aero.results import keep, kept, kept_tables, record, study
-from jax_aero.results.kept import ALL, Kept
+from jax_aero.results.kept import Kept
 from jax_aero.results.table import text_table
 from jax_aero.sweep import run, spec
 from jax_aero.sweep.design import Design
@@ -129,7 +129,7 @@ def beside(name: str, flown: Mapping[str, Sequence[Kept]], timed: Mapping[str, A
         title="wind-humanoid-1",
         about="",
         axes=[structs.replace(axis, levels=found) for axis, found in zip(last.axes, levels, strict=True)],
-        rows=[row for one in all_of for row in one.rows if ALL not in row[:2]],
+        rows=[row for one in all_of for row in one.rows],
         outcomes={},
         firsts=[],
         shows=["share", "errors"],

@@ -15,6 +15,7 @@ from jax_aero.base.terminal import REFUSED
 from jax_aero.figures import drawings, runs, style, sweeps
 from jax_aero.figures.catalogue import FIGURES, SWEEPS
 from jax_aero.results import outdated
+from jax_aero.results.sweep import is_finished
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,7 +26,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     is_all = given.names in ([], ["all"])
     names = [name for name in known if not _is_of_any(name)] if is_all else given.names
     if unknown := [name for name in names if name not in known]:
-        print(f"error: no figure `{unknown[0]}`{places.did_you_mean(unknown[0], known)}", file=sys.stderr)
+        others = "" if places.IS_CHECKOUT else "; those of the paper and of studies are in a checkout of the repository"
+        print(f"error: no figure `{unknown[0]}`{places.did_you_mean(unknown[0], known)}{others}", file=sys.stderr)
         return REFUSED
     style.use()
     missing = 0
@@ -47,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         for path in style.save(figure, _file_name(name, given), given.out, hashes, dark=given.dark):
             print(path)
-    hidden = [name for name in names if name in FIGURES and sweeps.is_finished(given.sweeps / name)]
+    hidden = [name for name in names if name in FIGURES and is_finished(given.sweeps / name)]
     for name in hidden:
         print(f"error: the sweep {name} is not drawn, since a figure has its name; give it another", file=sys.stderr)
     if missing:

@@ -24,6 +24,7 @@ def about(name: str) -> str:
 
 def main(words: Sequence[str]) -> int:
     """Run a study, or list all."""
+    checkout.require()
     if words and (name := words[0].replace("-", "_")) in names():
         return int(checkout.load(f"experiments.studies.{name}.study").main(words[1:]) or 0)
     width = max(map(len, names()), default=0)

@@ -15,7 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jax_aero.figures import style
-from jax_aero.figures.sweeps import Sweep, axis_label, level_label, shown_figure
+from jax_aero.figures.sweeps import axis_label, level_label, require, shown_figure
+from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep.intervals import SHARE
 
 SERIES = (
@@ -38,15 +39,15 @@ UPRIGHT = SHARE.replace(", ", ",\n")
 """What the first panel shows; the others show figures of merit."""
 
 
-def draw(sweep: Sweep) -> Figure:
+def draw(sweep: SweepResult) -> Figure:
     """Draw a sweep with one axis beside its panels."""
-    sweep.require(bool(sweep.axes), "an axis beside the panels")
+    require(sweep, bool(sweep.axes), "an axis beside the panels")
     axis = sweep.axes[-1]
     split = [sweep.panel_axis, *sweep.axes[:-1]]
     groups = _groups(sweep.cells, [part for part in split if part is not None])
-    sweep.require(len(groups) <= len(SERIES), f"at most {len(SERIES)} combinations of all axes but the last")
+    require(sweep, len(groups) <= len(SERIES), f"at most {len(SERIES)} combinations of all axes but the last")
     figure = _curves(sweep, axis, groups) if sweep.is_numeric(axis) else _levels(sweep, axis, groups)
-    style.footnote(figure, sweep.footnote())
+    style.footnote(figure, sweep.each)
     return figure
 
 
@@ -74,7 +75,7 @@ def spread(cells: pd.DataFrame, figure: str | None, said: str) -> tuple[str, Any
     return f"{centre.text},\n{said}", centre.values, low.values, high.values
 
 
-def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
+def _levels(sweep: SweepResult, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
     labels = list(dict.fromkeys(sweep.cells[axis["name"]]))
     height = 1.3 + (0.13 + 0.11 * len(groups)) * len(labels)
     figure = style.figure(height)
@@ -98,7 +99,7 @@ def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
     return figure
 
 
-def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
+def _curves(sweep: SweepResult, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
     figure = style.figure(2.9)
     row = figure.subplots(1, 1 + len(sweep.of))
     values = sweep.cells[axis["name"]]

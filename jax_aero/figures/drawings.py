@@ -8,9 +8,10 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from jax_aero.base.terminal import Refused
-from jax_aero.figures import ablation, front, maps, model_pairs, pairs, runs, scatter, style, sweeps
+from jax_aero.figures import ablation, front, maps, model_pairs, pairs, runs, scatter, style
+from jax_aero.results.sweep import SweepResult
 
-DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
+DRAWINGS: Mapping[str, Callable[[SweepResult], Figure]] = {
     "levels": ablation.draw,
     "curve": ablation.draw,
     "map": maps.draw,
@@ -21,7 +22,7 @@ DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
 }
 
 
-def draw(sweep: sweeps.Sweep, axis: str | None = None) -> Figure:
+def draw(sweep: SweepResult, axis: str | None = None) -> Figure:
     """Return the figure of a sweep, drawn as its file says, or the paired differences between levels of an axis."""
     texts = [sweep.title, *(axis["label"] for axis in sweep.document["axes"])]
     texts += [level for axis in sweep.document["axes"] for level in axis["levels"] if isinstance(level, str)]

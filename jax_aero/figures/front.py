@@ -8,20 +8,21 @@ from matplotlib.figure import Figure
 
 from jax_aero.figures import style
 from jax_aero.figures.ablation import SERIES, legend
-from jax_aero.figures.sweeps import Sweep
+from jax_aero.figures.sweeps import require
+from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep.intervals import SHARE, share
 
 TIMED = re.compile(r"(?P<kind>.+), (?P<time>[\d.]+) s")
 """Label of a mission: those of one kind have one colour."""
 
 
-def draw(sweep: Sweep) -> Figure:
+def draw(sweep: SweepResult) -> Figure:
     """Draw a sweep whose first axis has missions, over all levels of the axes that are no panels."""
     missions = sweep.axes[0] if sweep.axes else {"name": "", "levels": []}
     timed = {level: found for level in missions["levels"] if (found := TIMED.fullmatch(str(level)))}
     panel = sweep.panel_axis
     suits = panel is not None and missions["name"] and len(timed) == len(missions["levels"])
-    sweep.require(bool(suits), "missions such as `upright, 14 s`, and panels")
+    require(sweep, bool(suits), "missions such as `upright, 14 s`, and panels")
     assert panel is not None
     counts = sweep.cells.groupby([panel["name"], missions["name"]])[["flights", "upright"]].sum()
     kinds = dict.fromkeys(found["kind"] for found in timed.values())
@@ -43,5 +44,5 @@ def draw(sweep: Sweep) -> Figure:
     row[0].set_ylabel(SHARE.replace(", ", ",\n"))
     row[0].set_ylim(-2.0, 102.0)
     legend(figure, row[0], sweep.title, len(kinds))
-    style.footnote(figure, f"{counts['flights'].max()} flights a point, {sweep.footnote().partition(', ')[2]}")
+    style.footnote(figure, f"{counts['flights'].max()} flights a point, {sweep.each.partition(', ')[2]}")
     return figure

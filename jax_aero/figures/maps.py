@@ -11,16 +11,17 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
 from jax_aero.figures import style
-from jax_aero.figures.sweeps import Sweep, axis_label, level_label, shown_figure
+from jax_aero.figures.sweeps import axis_label, level_label, require, shown_figure
+from jax_aero.results.sweep import SweepResult
 
 MOST = {"max_rotation_error_deg": 90.0, "max_com_error": 100.0}
 """Greatest values of the colours; those of other figures of merit have none."""
 
 
-def draw(sweep: Sweep) -> Figure:
+def draw(sweep: SweepResult) -> Figure:
     """Draw a sweep with two axes beside its panels."""
     suits = len(sweep.axes) == 2 and all(map(sweep.is_numeric, sweep.axes))
-    sweep.require(suits, "two axes of numbers beside the panels")
+    require(sweep, suits, "two axes of numbers beside the panels")
     down, across = sweep.axes
     panel = sweep.panel_axis
     levels = [None] if panel is None else list(dict.fromkeys(sweep.cells[panel["name"]]))
@@ -49,7 +50,7 @@ def draw(sweep: Sweep) -> Figure:
     grid[-1, 0].set_xlabel(axis_label(across), loc="left")  # once: beside each other labels overlap
     style.title(figure, sweep.title)
     n, least = sweep.cells["flights"].max(), _least_share(sweep.cells)
-    style.footnote(figure, f"{sweep.footnote()}; a cell of {n} of {n} stands for at least {least:.0f} % (Wilson 95 %)")
+    style.footnote(figure, f"{sweep.each}; a cell of {n} of {n} stands for at least {least:.0f} % (Wilson 95 %)")
     return figure
 
 

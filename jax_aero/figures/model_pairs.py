@@ -7,17 +7,18 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from jax_aero.figures import style
-from jax_aero.figures.sweeps import Sweep
+from jax_aero.figures.sweeps import require
+from jax_aero.results.sweep import SweepResult
 
 BALANCED = 45.0
 """Greatest rotation error of a completed flight that counts as balanced [deg]."""
 
 
-def draw(sweep: Sweep) -> Figure:
+def draw(sweep: SweepResult) -> Figure:
     """Draw a matrix for each lever arm: share of winds flown in balance, and the median rotation error."""
     levels = {axis["name"]: axis["levels"] for axis in sweep.document["axes"]}
     suits = {"model", "world"} < levels.keys() and len(levels.get("arms", ())) == 2
-    sweep.require(suits, "axes `arms`, of two levels, `model` and `world`")
+    require(sweep, suits, "axes `arms`, of two levels, `model` and `world`")
     flights = sweep.flights
     figure = style.figure(3.6)
     pair = figure.subplots(1, 2, sharey=True)

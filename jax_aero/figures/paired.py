@@ -8,14 +8,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jax_aero.figures import style
-from jax_aero.figures.sweeps import Sweep, level_label
+from jax_aero.figures.sweeps import level_label
+from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep.paired import COLUMNS, differences
 
 HEIGHT, WIDTH = 0.16, 22
 """Of a row [inches], and of a panel's label beside long names of levels [characters]."""
 
 
-def draw(sweep: Sweep, axis: str) -> Figure:
+def draw(sweep: SweepResult, axis: str) -> Figure:
     """Draw the differences of share and median errors, a row for each level and combination of the other axes."""
     names = {one["name"]: one for one in sweep.document["axes"]}
     found = differences(sweep.flights, list(names), axis)
@@ -35,5 +36,5 @@ def draw(sweep: Sweep, axis: str) -> Figure:
     row[0].set_yticks(place, labels)
     row[0].set_ylim(len(found) - 0.5, -0.5)
     style.title(figure, f"{sweep.title}: differences")
-    style.footnote(figure, f"pairs of flights on the same draws; {sweep.footnote()}")
+    style.footnote(figure, f"pairs of flights on the same draws; {sweep.each}")
     return figure

@@ -12,7 +12,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from jax_aero.figures import style
-from jax_aero.figures.sweeps import Sweep
+from jax_aero.figures.sweeps import require
+from jax_aero.results.sweep import SweepResult
 
 KINDS = (
     ("completed", style.SKY),
@@ -25,12 +26,12 @@ COUNTS = ("completed", "landed", "lost", "unwarned")
 """Numbers of such flights in a cell."""
 
 
-def draw(sweep: Sweep) -> Figure:
+def draw(sweep: SweepResult) -> Figure:
     """Draw a sweep over pairs: the first panel above the diagonal, the second below it."""
     panels = [None] if sweep.panel_axis is None else list(sweep.panel_axis["levels"])
     names = [axis["name"] for axis in sweep.axes]
     suits = len(names) == 2 and names[1] == f"{names[0]}_2" and len(panels) <= 2
-    sweep.require(suits, "the axes of pairs beside at most two panels")
+    require(sweep, suits, "the axes of pairs beside at most two panels")
     levels = sweep.axes[0]["levels"]
     square = np.full((len(levels), len(levels)), np.nan)
     for place, panel in enumerate(panels):
@@ -56,7 +57,7 @@ def draw(sweep: Sweep) -> Figure:
         f"{where}: {panel}" for where, panel in zip(("above the diagonal", "below"), panels, strict=False) if panel
     ]
     style.title(figure, "; ".join([sweep.title, *named]))
-    style.footnote(figure, sweep.footnote())
+    style.footnote(figure, sweep.each)
     return figure
 
 

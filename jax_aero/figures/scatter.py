@@ -9,12 +9,13 @@ from matplotlib.figure import Figure, FigureBase
 from jax_aero.base.result import LOST
 from jax_aero.figures import style
 from jax_aero.figures.ablation import SERIES
-from jax_aero.figures.sweeps import Sweep, axis_label, shown_figure
+from jax_aero.figures.sweeps import axis_label, require, shown_figure
+from jax_aero.results.sweep import SweepResult
 
 
-def draw(sweep: Sweep) -> Figure:
+def draw(sweep: SweepResult) -> Figure:
     """Draw a sampled sweep: rank correlations, then one scatter plot per axis."""
-    sweep.require(bool(sweep.axes) and all(map(sweep.is_numeric, sweep.axes)), "axes of numbers beside the panels")
+    require(sweep, bool(sweep.axes) and all(map(sweep.is_numeric, sweep.axes)), "axes of numbers beside the panels")
     flights = sweep.flights[sweep.flights["outcome"] != "error"]
     error = shown_figure(sweep.of[0], flights)
     axes_of = sweep.axes
@@ -42,7 +43,7 @@ def draw(sweep: Sweep) -> Figure:
     return figure
 
 
-def correlations(sweep: Sweep, flights: pd.DataFrame, error: pd.Series) -> dict[str, float]:
+def correlations(sweep: SweepResult, flights: pd.DataFrame, error: pd.Series) -> dict[str, float]:
     """Return Spearman's rank correlation of an error with the distance of every input from its middle.
 
     A bias has effects of either sign, so inputs with a nominal middle count by their distance from it. Flights without
@@ -58,7 +59,7 @@ def correlations(sweep: Sweep, flights: pd.DataFrame, error: pd.Series) -> dict[
     return found
 
 
-def _correlations(figure: FigureBase, sweep: Sweep, flights: pd.DataFrame) -> None:
+def _correlations(figure: FigureBase, sweep: SweepResult, flights: pd.DataFrame) -> None:
     axes = figure.subplots()
     labels = [axis["label"] for axis in sweep.axes]
     place = np.arange(len(labels))

@@ -22,9 +22,9 @@ from jax_aero import backends
 from jax_aero.results import outdated
 from jax_aero.results.identity import numerics_of
 from jax_aero.results import kept
-from jax_aero.results.kept import ALL, Axis, Kept
+from jax_aero.results.kept import Axis, Kept
 from jax_aero.results.outdated import ANOTHER
-from jax_aero.sweep import run, spec, table
+from jax_aero.sweep import aggregate, run, spec
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.perturbation import perturbed
 from jax_aero.sweep.spec import Spec
@@ -112,9 +112,8 @@ def _commit(document: Mapping[str, Any]) -> str | None:
 
 def of_sweep(folder: Path, named: str | None = None) -> Kept:
     """Return what is kept of a finished sweep: rows of flights, and the findings of its claims."""
-    document = read_json(folder / run.SWEEP_FILE, documents.FinishedSweep)
-    if name := find_damaged(folder, document["finished"]["files"]):
-        raise Refused(f"{os.path.relpath(folder / name)} is not what was written there; --overwrite flies it again")
+    result = sweep.read(folder)
+    document = result.document
     if document["backend"] == "jax":
         raise Refused(f"{os.path.relpath(folder)} is flown by JAX, which does not say what fault detection finds")
     asked = spec.load(folder.name) if folder.name in places.names("sweeps") else None
@@ -123,7 +122,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     whole = [Axis(axis["name"], axis["label"], axis["unit"], axis["levels"]) for axis in document["axes"]]
     second = [whole[1].name] if is_paired else []
     axes = [axis for axis in whole if not is_sampled and axis.name not in (*tabled.pooled, *second)]
-    flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
+    flights = result.flights.copy()
     flights["onset"] = flights["cell"].map(_onsets(asked, document["config_digest"]))
     firsts = list(_firsts(Design(asked), flights)) if asked else []  # others cannot be flown again
     flights = flights[flights["outcome"] != "error"]
@@ -143,10 +142,11 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
         axes=axes,
         drawing=document["drawing"],
         panels=document["panels"],
+        paired=whole[0].name if is_paired else "",
         pooled=[axis.label for axis in whole if axis.name in tabled.pooled],
         shows=list(tabled.shows),
         outcomes=document["finished"]["outcomes"],
-        columns=[*(axis.name for axis in axes), *FIGURES],
+        columns=[*(axis.name for axis in axes), *aggregate.KEPT],
         rows=[[*levels, *_shorten(list(figures.values()))] for levels, figures in rows],
         firsts=firsts,
     )
@@ -177,50 +177,25 @@ def _each(document: Mapping[str, Any]) -> str:
 def _rows(
     flights: pd.DataFrame, axes: Sequence[Axis], pair: tuple[str, str] | None
 ) -> Iterator[tuple[list[Any], dict[str, Any]]]:
-    """Yield levels and figures of the flights for every combination of levels, each axis also pooled.
+    """Yield levels and figures of the flights for every combination of levels that some have.
 
     Of pairs, a level of the first axis has all flights in which it is one of the two.
     """
-    either = flights
     if pair is not None:
         first, other = pair
-        either = pd.concat([flights, flights.assign(**{first: flights[other]})])
-    for levels in itertools.product(*([*axis.levels, ALL] for axis in axes)):
-        chosen = {axis.name: level for axis, level in zip(axes, levels, strict=True) if level != ALL}
-        mine = either if pair is not None and pair[0] in chosen else flights
-        for name, level in chosen.items():
-            mine = mine[mine[name] == level]
+        flights = pd.concat([flights, flights.assign(**{first: flights[other]})])
+    for levels in itertools.product(*(axis.levels for axis in axes)):
+        mine = flights
+        for axis, level in zip(axes, levels, strict=True):
+            mine = mine[mine[axis.name] == level]
         if len(mine):
             yield list(levels), figures(mine)
 
 
-FIGURES: tuple[str, ...] = (
-    *("flights", "completed", "landed", "landing", "on_course", "off_course"),
-    *("lost", "crashed", "unwarned", "degraded"),
-    *("rotation_deg_median", "rotation_deg_high", "rotation_deg_worst", "com_cm_median", "com_cm_high", "com_cm_worst"),
-    *("found_s", "announced_s", "lost_s", "modes"),
-)
-"""Columns of the rows, beside the axes."""
-
-QUANTILES = {"median": 0.5, "high": 0.9, "worst": 1.0}
-
-
 def figures(flights: pd.DataFrame) -> dict[str, Any]:
-    """Return counts of flights, and quantiles of the errors of those that complete or come down."""
-    upright, lost = (flights[flights["outcome"].isin(ends)] for ends in (UPRIGHT, LOST))
-    degraded = flights[flights["degraded_time"] > 0.0]
-    found: dict[str, Any] = {"flights": len(flights), **table.counts(flights)}
-    errors = {"rotation_deg": upright["max_rotation_error_deg"], "com_cm": 100.0 * upright["max_com_error"]}
-    for name, values in errors.items():
-        found |= {f"{name}_{end}": table.quantile(values, share) for end, share in QUANTILES.items()}
-    bits = flights["all_modes"].fillna(0).to_numpy().astype(int)
-    found |= {
-        "found_s": table.quantile(degraded["nominal_until"] - degraded["onset"], 0.5),
-        "announced_s": table.quantile(lost["warning_time"][lost["lost_time"].notna()], 0.5),
-        "lost_s": table.quantile(lost["lost_time"], 0.5),
-        "modes": sum(bit for bit in MODES.values() if np.mean((bits & bit) > 0) >= 0.5),
-    }
-    return {name: found[name] for name in FIGURES}
+    """Return what is kept of flights."""
+    found = aggregate.figures({str(name): values.to_numpy() for name, values in flights.items()})
+    return {name: found[name] for name in aggregate.KEPT}
 
 
 def first_of(flight: Mapping[str, Any]) -> list[Any]:
@@ -242,10 +217,10 @@ def _firsts(design: Design, flights: pd.DataFrame) -> Iterator[list[Any]]:
 
 def fly_again(document: Kept, cell: int) -> list[Any]:
     """Return what is kept of the first flight of a cell, flown anew from the present file of the sweep."""
-    sweep = Design(spec.load(document.result.removeprefix("sweeps/")))
-    if len(sweep.cells) != len(document.firsts):
-        raise Refused(f"{document.name} keeps {len(document.firsts)} cells; its sweep has {len(sweep.cells)}")
-    flight = backends.backend(sweep.spec.backend).fly(sweep.row_config(cell))
+    design = Design(spec.load(document.result.removeprefix("sweeps/")))
+    if len(design.cells) != len(document.firsts):
+        raise Refused(f"{document.name} keeps {len(document.firsts)} cells; its sweep has {len(design.cells)}")
+    flight = backends.backend(design.spec.backend).fly(design.row_config(cell))
     return first_of({"outcome": flight.outcome, **flight.summary})
 
 

@@ -1,20 +1,24 @@
 """Kept results: `docs/results/NAME.json`, the figures of a finished result.
 
-A kept result has what its pages say: how it was made, and its figures. Those of a sweep are rows of flights, also
-pooled over any of its axes; those of a study or a benchmark are its summary.
+A kept result has what its pages say: how it was made, and its figures. Those of a sweep are rows of flights, which are
+pooled when they are read; those of a study or a benchmark are its summary.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Set
 from functools import cache
 from typing import Any
 
 import msgspec
+import numpy as np
+import pandas as pd
 
 from jax_aero.base.terminal import Refused
-from jax_aero.sweep.intervals import wilson
+from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep import aggregate
 from jax_aero.base import places
 from jax_aero.base.files import read_json
 
@@ -62,6 +66,8 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     axes: list[Axis] = []
     drawing: str = ""
     panels: str = ""
+    paired: str = ""
+    """Axis of pairs, two of whose levels each flight has."""
     pooled: list[str] = []
     """Labels of the axes that no row distinguishes."""
     shows: list[str] = []
@@ -69,7 +75,7 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     """Number of flights by outcome."""
     columns: list[str] = []
     rows: list[list[Any]] = []
-    """Figures of flights; an axis over which they are pooled is "all"."""
+    """Figures of flights, by combination of levels."""
     firsts: list[list[Any]] = []
     """Outcome and figures (`keep.FIRST`) of the first flight of each cell, in the order of the sweep's cells.
 
@@ -79,15 +85,34 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     """When and with which commit these were flown, if not with the other flights."""
     summary: Any = None
     """Figures of a study or a benchmark."""
+    seal: str = ""
+    """Digest of all this, by which an edited number is recognised."""
 
-    def table(self) -> list[dict[str, Any]]:
-        """Return the rows as tables."""
-        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+    def table(self, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
+        """Return the rows as tables, or those of the flights pooled over some axes, whose level is then `ALL`."""
+        rows = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+        if not pooled:
+            return rows
+        groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+        for row in rows:
+            levels = tuple(ALL if axis.name in pooled else row[axis.name] for axis in self.axes)
+            groups.setdefault(levels, []).append(row)
+        names, times = [axis.name for axis in self.axes], 2 if self.paired in pooled else 1
+        return [dict(zip(names, at, strict=True)) | aggregate.pool(mine, times) for at, mine in groups.items()]
 
-    def cells(self, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
-        """Return the rows with the columns of a sweep's table of cells, pooled over these axes and no others."""
-        found = [row for row in self.table() if {axis.name for axis in self.axes if row[axis.name] == ALL} == pooled]
-        return [row | _as_cell(row) for row in found]
+    @property
+    def sweep(self) -> SweepResult:
+        """Return a kept sweep as figures and report read one."""
+        axes = [msgspec.to_builtins(axis) for axis in self.axes]
+        document = {"title": self.title, "drawing": self.drawing, "panels": self.panels, "axes": axes}
+        cells = pd.DataFrame([row | aggregate.as_cell(row) for row in self.table()]).fillna(np.nan)
+        return SweepResult(
+            self.name,
+            document | {"config_digest": self.digest},
+            cells,
+            each=f"flights: {self.each}",
+            spread="median to 90 % of flights that complete or land",
+        )
 
     @property
     def is_drawn(self) -> bool:
@@ -95,17 +120,6 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
         if self.drawing in ("levels", "front"):
             return all(len(axis.levels) <= MOST_LEVELS for axis in self.axes)
         return self.drawing in ("curve", "map") and not self.pooled
-
-
-def _as_cell(row: Mapping[str, Any]) -> dict[str, Any]:
-    cell: dict[str, Any] = {"upright": row["completed"] + row["landed"]}
-    for share, count in {"completed": row["completed"], **cell}.items():
-        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(count, row["flights"])
-    for quantity, column, factor in (("rotation_error_deg", "rotation_deg", 1.0), ("com_error", "com_cm", 0.01)):
-        for quantile, of in (("p10", "median"), ("median", "median"), ("p90", "high"), ("worst", "worst")):
-            value = row[f"{column}_{of}"]
-            cell[f"{quantity}_{quantile}"] = None if value is None else factor * value
-    return cell
 
 
 def names() -> list[str]:
@@ -119,12 +133,22 @@ def read(name: str) -> Kept:
     path = FOLDER / f"{name}.json"
     if not path.is_file():
         raise Refused(f"there is no kept result `{name}`{places.did_you_mean(name, names())}")
-    return msgspec.convert(read_json(path, Kept), Kept)
+    found = msgspec.convert(read_json(path, Kept), Kept)
+    if found.seal != seal_of(found):
+        raise Refused(f"{path} is not what was written there: keep the result again (jax-aero report keep)")
+    return found
+
+
+def seal_of(kept: Kept) -> str:
+    """Return the digest of what is kept."""
+    text = json.dumps(msgspec.to_builtins(msgspec.structs.replace(kept, seal="")))
+    document = msgspec.to_builtins(msgspec.convert(json.loads(text), Kept))  # with the types that a file gives
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
 def to_json(kept: Kept) -> str:
-    """Return a kept result as JSON, with a line for each row."""
-    document = msgspec.to_builtins(kept)
+    """Return a kept result as JSON, sealed, with a line for each row."""
+    document = msgspec.to_builtins(msgspec.structs.replace(kept, seal=seal_of(kept)))
     tables = {name: document.pop(name) for name in ("rows", "firsts") if name in document}
     text = json.dumps(document, indent=1, ensure_ascii=False)
     for name, rows in tables.items():

@@ -1,6 +1,6 @@
 """Tables of kept results.
 
-A column of a sweep is a figure (`keep.FIGURES`), a count of several outcomes (`completed + landed`), or its share of
+A column of a sweep is a figure (`aggregate.KEPT`), a count of several outcomes (`completed + landed`), or its share of
 flights with its Wilson interval of 95 % (`share completed + landed`). A column of a study is a figure of its cases.
 """
 
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any, NamedTuple, TypeVar
 
 from jax_aero.base.terminal import Refused
@@ -109,9 +110,9 @@ def _label(column: str) -> str:
     return QUANTITIES.get(column, column.replace("_", " "))
 
 
-def rows_of(document: Kept) -> list[dict[str, Any]]:
+def rows_of(document: Kept, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
     """Return the rows of a sweep with the flights that fell, and without a time of finding that few flights have."""
-    rows = document.table()
+    rows = document.table(pooled)
     for row in rows:
         row["fell"] = row["lost"] - row["landing"] - row["off_course"] - row["crashed"]
         row["found_s"] = row["found_s"] if 2 * row["degraded"] >= row["flights"] else None
@@ -124,7 +125,7 @@ def _figures(row: Mapping[str, Any], names: Iterable[str], axes: Iterable[str]) 
     for column in row.keys() - {*axes, "flights"}:
         unit = next((UNITS[part] for part in column.split("_") if part in UNITS), None)
         if column == "modes":
-            found[column] = Value(" ".join(f"`{name}`" for name, bit in rust.MODES.items() if row[column] & bit))
+            found[column] = Value(" ".join(f"`{name}`" for name, bit in rust.MODES.items() if (row[column] or 0) & bit))
         else:
             found[column] = Value(f"{row[column]} of {row['flights']}") if unit is None else Value(row[column], unit)
     for name in names:
@@ -156,7 +157,10 @@ def of_sweep(
     names = [name for name in axes if len(chosen[name]) > 1 and name != across]
     found: dict[tuple[Any, ...], dict[Any, dict[str, Value]]] = {}
     place = {name: {level: number for number, level in enumerate(levels)} for name, levels in chosen.items()}
-    rows = [row for row in rows_of(document) if all(row[name] in levels for name, levels in chosen.items())]
+    whole = [name for name, levels in chosen.items() if ALL in levels]
+    sums = [frozenset(names) for n in range(len(whole) + 1) for names in combinations(whole, n)]
+    found_rows = [row for pooled in sums for row in rows_of(document, pooled)]
+    rows = [row for row in found_rows if all(row[name] in levels for name, levels in chosen.items())]
     for row in sorted(rows, key=lambda row: [place[name][row[name]] for name in axes]):
         figures = _figures(row, by_heading(columns).values(), axes)
         found.setdefault(tuple(row[name] for name in names), {})[row.get(across)] = figures

@@ -111,13 +111,18 @@ def write_run(
 
 
 def write_result(
-    folder: Path, manifest: Mapping[str, Any], write: Callable[[Path], object], *, replace: bool = False
+    folder: Path,
+    manifest: Mapping[str, Any],
+    write: Callable[[Path], object],
+    *,
+    replace: bool = False,
+    named: str = MANIFEST_FILE,
 ) -> None:
     """Write a whole result folder at once: what `write` puts into it, and the manifest with checksums of that."""
     with complete_folder(folder, replace=replace) as draft:
         write(draft)
         files = checksums(draft)
-        write_json(draft / MANIFEST_FILE, {**manifest, "files": files})
+        write_json(draft / named, {**manifest, "files": files})
         if replace and folder.exists() and (others := set(unrelated_files(folder)) - set(files)):
             raise Refused(f"{folder.name} holds more than a result ({min(others)}), so it is not replaced")
 
@@ -136,8 +141,8 @@ def _manifest_of(folder: Path) -> Path:
 
 
 def files_of(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Return the checksums of the files of a result, by its manifest."""
-    return dict(manifest.get("finished", manifest).get("files") or {})
+    """Return the checksums of the files of a result, by its manifest; older sweeps have them in a table of it."""
+    return dict(manifest.get("files") or manifest.get("finished", {}).get("files") or {})
 
 
 def find_existing(

@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 
 from jax_aero import backends, rust
 from jax_aero.base import documents, places, plain
-from jax_aero.base.files import checksums, complete_folder, lock_work, resolve, write_bytes, write_json
+from jax_aero.base.files import lock_work, resolve, write_bytes, write_json
 from jax_aero.base.kinds import KINDS
 from jax_aero.base.parquet import read_parquet, read_table
 from jax_aero.base.terminal import progress_bar
@@ -154,18 +154,19 @@ def _write(folder: Path, design: Design, document: dict[str, Any], whole: Any, f
     outcomes = whole["outcome"].to_pylist()
     if errors := whole["error"].drop_null().to_pylist():
         print(f"{design.spec.name}: {len(errors)} flights could not be flown, first: {errors[0]}", file=sys.stderr)
-    with complete_folder(folder, replace=True) as draft:
+    finished = {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "flights": flown,
+        "seconds": round(seconds, 3),
+        "flights_per_minute": round(60.0 * flown / seconds, 1) if flown else None,
+        "outcomes": {outcome: outcomes.count(outcome) for outcome in (*columns.OUTCOMES, "error")},
+    }
+
+    def write(draft: Path) -> None:
         for name, content in zip(TABLES, (whole, of_cells), strict=True):
             write_bytes(draft / name, parquet(content))
-        finished = {
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "flights": flown,
-            "seconds": round(seconds, 3),
-            "flights_per_minute": round(60.0 * flown / seconds, 1) if flown else None,
-            "outcomes": {outcome: outcomes.count(outcome) for outcome in (*columns.OUTCOMES, "error")},
-            "files": checksums(draft),
-        }
-        write_json(draft / SWEEP_FILE, document | {"finished": finished})
+
+    record.write_result(folder, document | {"finished": finished}, write, replace=True, named=SWEEP_FILE)
 
 
 def parquet(content: pa.Table) -> bytes:

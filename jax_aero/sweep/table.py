@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
 import pyarrow as pa
 
 from jax_aero import rust
@@ -20,9 +19,8 @@ from jax_aero.backends import Failure
 from jax_aero.base import quantities
 from jax_aero.base.keys import get, set_key
 from jax_aero.base.named import file_hash
-from jax_aero.base.result import LOST, UPRIGHT, FlightResult
-from jax_aero.sweep import columns
-from jax_aero.sweep.intervals import wilson
+from jax_aero.base.result import FlightResult
+from jax_aero.sweep import aggregate, columns
 from jax_aero.sweep.spec import Level, Spec
 
 Cells: TypeAlias = Sequence[tuple[Level, ...]]
@@ -30,13 +28,6 @@ Cells: TypeAlias = Sequence[tuple[Level, ...]]
 
 OF_DETECTION = ("degraded_time", "nominal_until", "all_modes", "warning_time")
 """Those of what fault detection finds, which flights of JAX do not have."""
-
-ON_COURSE_ROTATION = 15.0
-ON_COURSE_COM = 0.25
-"""Greatest errors [deg, m] of a completed flight that counts as on course, which is stricter than completed.
-
-A flight that ends within its start-up has no position error and does not count.
-"""
 
 
 def schema(spec: Spec, levels: Cells) -> pa.Schema:
@@ -86,52 +77,10 @@ def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
     for cell, chosen in enumerate(levels):
         record: dict[str, Any] = {"cell": cell}
         record |= {axis.name: level.label for axis, level in zip(spec.axes, chosen, strict=True)}
-        records.append(record | _cell({name: values[cell :: len(levels)] for name, values in flights.items()}))
+        found = aggregate.figures({name: values[cell :: len(levels)] for name, values in flights.items()})
+        records.append(record | {name: found[name] for name in columns.CELLS if name != "cell"})
     first, *others = columns.fields(columns.CELLS)
     return pa.Table.from_pylist(records, pa.schema([first, *_axes(spec, levels), *others]))
-
-
-def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
-    """Return counts and quantiles of the flights of one cell; of the warnings, those of flights that a loss ends."""
-    flights = {**flights, "warning_time": np.where(np.isnan(flights["lost_time"]), np.nan, flights["warning_time"])}
-    errors = int((flights["outcome"] == "error").sum())
-    trials, found = len(flights["outcome"]) - errors, counts(flights)
-    record: dict[str, Any] = {"flights": trials, "errors": errors}
-    for name in columns.SHARES:
-        low, high = wilson(found[name], trials)
-        record |= {name: found[name], f"{name}_low": low, f"{name}_high": high}
-    record |= {name: found[name] for name in (*columns.OUTCOMES, "lost", "unwarned")}
-    if trials and np.isnan(flights["degraded_time"]).all():
-        record |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
-    for name, column in columns.QUANTITIES.items():
-        values = flights[column].astype(float)
-        known, shares = values[np.isfinite(values)], list(columns.QUANTILES.values())
-        ends = np.quantile(known, shares).tolist() if len(known) else [None] * len(shares)
-        record |= {f"{name}_{end}": value for end, value in zip(columns.QUANTILES, ends, strict=True)}
-    return record
-
-
-def counts(flights: Mapping[str, Any]) -> dict[str, int]:
-    """Return how many flights ended how, upright, on course, lost, lost unwarned, and were degraded for a time."""
-    outcome = flights["outcome"]
-    near = (flights["max_rotation_error_deg"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
-    lost, is_to_the_end = np.isin(outcome, LOST), np.isnan(flights["lost_time"])
-    late = np.where(is_to_the_end, flights["degraded_time"] <= 0.0, flights["warning_time"] < columns.LEAST_WARNING)
-    which = {
-        **{name: outcome == name for name in columns.OUTCOMES},
-        "upright": np.isin(outcome, UPRIGHT),
-        "on_course": (outcome == "completed") & near,
-        "lost": lost,
-        "unwarned": lost & late,
-        "degraded": flights["degraded_time"] > 0.0,
-    }
-    return {name: int(rows.sum()) for name, rows in which.items()}
-
-
-def quantile(values: Any, share: float) -> float | None:
-    """Return a quantile of the values that are finite; `None` without any."""
-    known = values[np.isfinite(values)]
-    return float(np.quantile(known, share)) if len(known) else None
 
 
 def config_hash(config: Mapping[str, Any]) -> str:

@@ -57,6 +57,7 @@ def check_contents(wheel: Path) -> dict[str, int]:
         (name,) = files.keys() & LIBRARIES
         module = archive.read(name)
     assert files.keys() >= PARTS, PARTS - files.keys()
+    assert {file.partition("/")[0].partition("-")[0] for file in files} == {"jax_aero"}, "other packages"
     (kind,) = [first for end, first in KINDS.items() if wheel.stem.endswith(end)]
     assert module.startswith(kind), f"{wheel.name} has a library for another system"
     assert name.endswith("pyd") == wheel.stem.endswith("win_amd64"), f"{wheel.name} has {name}"
@@ -110,8 +111,15 @@ def fly(package: Path) -> None:
         (site / "extras.pth").write_text(sysconfig.get_path("purelib"))
         flown = run(folder, jax_aero, "fly", "test2", "--set", "simulator.duration=1")
         assert "results/flight/test2--simulator.duration=1/run.nc" in flown, flown
-        drawn = run(folder, jax_aero, "figures", "fig2", "supp_mesh")
-        assert f"{folder.resolve()}/results/figures/fig2.pdf" in drawn, drawn
+        drawn = run(folder, jax_aero, "figures", "compare", "--runs", "test2--simulator.duration=1")
+        assert f"{folder.resolve()}/results/figures/compare--test2" in drawn, drawn
+        for own in ("experiments", "paper_figs"):
+            (folder / own).mkdir()
+            (folder / own / "__init__.py").write_text("raise ImportError('of a user')")
+        assert "test2" in run(folder, python, "-m", "jax_aero", "fly", "--list")
+        refused = subprocess.run([jax_aero, "study"], cwd=folder, capture_output=True, text=True, check=False)
+        assert refused.returncode == 2, refused
+        assert "needs a checkout of the repository" in refused.stderr, refused
     print(f"{package.name} flies test2 as the checkout does ({there[2]}); {time.perf_counter() - started:.0f} s")
 
 

@@ -5,20 +5,22 @@ from string import Formatter
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from msgspec import structs
 
 from experiments.report import judge, paper, stored
 from experiments.report.judge import AGREES, Kind, Verdict
 from experiments.report.measures import Measured, results
-from experiments.report.results import Results, Sweep
+from experiments.report.results import Results
 from jax_aero.base import places, tables
 from jax_aero.base.result import LOST
 from jax_aero.base.terminal import ConfigError
 from jax_aero.commands.fly import main as fly
 from jax_aero.results import kept
 from jax_aero.results.flight import PAPER_RUNS
-from jax_aero.sweep import columns, spec, table
+from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep import aggregate, columns, spec
 from jax_aero.sweep.criteria import Criterion, Share
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
@@ -181,7 +183,7 @@ def find(key, studies=None, sweeps=None):
     measured, verdict = CLAIMS[key].decide(
         SimpleNamespace(
             study=lambda kind, name: (studies or {}).get(name, (studies or {}).get(kind)),
-            sweep=lambda name: Sweep({}, sweeps[name]),
+            sweep=lambda name: SweepResult("s", {"axes": []}, pd.DataFrame(sweeps[name])),
         )
     )
     return measured, verdict.text
@@ -417,9 +419,9 @@ def test_a_claim_is_refuted_by_flights_that_are_all_lost_and_confirmed_by_those_
     """In whatever way they are lost, without a warning where that is asked; the other way round if few may land."""
     refuted = []
     for outcome in (lost, "completed"):
-        measured = dict.fromkeys({*columns.QUANTITIES.values()}, np.zeros(2000))
+        measured = dict.fromkeys(columns.FLIGHT, np.zeros(2000))
         found = {"outcome": np.full(2000, outcome), "degraded_time": np.full(2000, float(degraded and outcome == lost))}
-        made = results.of_cells([table._cell(measured | found)], [], claim)
+        made = results.of_cells([aggregate.figures(measured | found)], [], claim)
         refuted.append(judge.of_sweep("s", claim).judge(made.cases).kind is Kind.DIFFERS)
     assert refuted == ([False, True] if [one.of for one in claim.share] == ["upright"] else [True, False])
 
@@ -486,4 +488,4 @@ def test_a_claim_of_a_sweep_is_judged_by_its_result():
     key, claim = next((key, claim) for key, claim in paper.all_claims().items() if claim.is_of_sweep)
     assert key in {one.key for one in paper.stated(claim.arguments["name"])}
     with pytest.raises(LookupError, match=f"no cell of the claim `{key}`"):
-        claim.decide(SimpleNamespace(sweep=lambda _: Sweep({"axes": []}, [])))
+        claim.decide(SimpleNamespace(sweep=lambda _: SweepResult("s", {"axes": []}, pd.DataFrame())))

@@ -88,6 +88,35 @@ def test_the_extras_of_a_command_bring_what_it_imports(command, extras):
     assert packages_of(of.__module__) <= packages_in(extras)
 
 
+BESIDE = """
+import sys
+from jax_aero import cli
+from jax_aero.base import places
+assert not places.IS_CHECKOUT
+commands = [name for name in cli.NEEDS if not name.startswith("report")]
+print(len([cli.function_of(name) for name in commands]), {"experiments", "paper_figs"} & {*sys.modules})
+print([cli.main(words.split()) for words in ("fly --list", "sweep --list", "study", "report", "figures fig5")])
+"""
+
+
+def test_without_a_checkout_commands_work_beside_packages_of_a_user_that_have_the_names_of_its_folders(tmp_path):
+    """As from a wheel; what needs a checkout says so."""
+    site, here = tmp_path / "site", tmp_path / "here"
+    shutil.copytree(ROOT / "jax_aero", site / "jax_aero", copy_function=os.symlink)
+    for package in ("experiments", "paper_figs"):
+        (here / package).mkdir(parents=True)
+        (here / package / "__init__.py").write_text("raise RuntimeError('of a user')\n")
+    answer = subprocess.run(
+        [sys.executable, "-c", BESIDE], cwd=here, env=os.environ | {"PYTHONPATH": str(site)}, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    first, *_, last = answer.stdout.splitlines() or [""]
+    assert first == f"{len(cli.NEEDS) - 2} set()", answer.stderr
+    assert last == "[0, 0, 2, 2, 2]", answer.stderr
+    assert answer.stderr.count("needs a checkout of the repository") == 2
+    assert "of the paper and of studies are in a checkout" in answer.stderr
+
+
 def test_the_package_installs_the_command():
     assert PROJECT["scripts"] == {"jax-aero": "jax_aero.cli:main"}
 

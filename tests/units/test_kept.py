@@ -1,6 +1,7 @@
-"""Kept results: rows of flights pooled over any axis, and the page that shows them."""
+"""Kept results: rows of flights, pooled when they are read, and the page that shows them."""
 
 import hashlib
+import json
 
 import msgspec
 import numpy as np
@@ -12,10 +13,10 @@ from experiments.report.judge import Kind
 from jax_aero import backends
 from jax_aero.base.result import UPRIGHT
 from jax_aero.base.terminal import Refused
-from jax_aero.figures import kept as pictures
 from jax_aero.results import keep, kept, kept_tables, manifest
 from jax_aero.results.kept import Axis, Kept
-from jax_aero.sweep import spec
+from jax_aero.sweep import aggregate, spec
+from jax_aero.sweep.columns import FLIGHT
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
 
@@ -38,21 +39,28 @@ def flown(**columns):
         "lost_time": np.where(lost, 20.0, np.nan),
         "all_modes": np.where(lost, 1024 + 2, 2),
     }
-    return pd.DataFrame(made_up | columns)
+    return pd.DataFrame(dict.fromkeys(FLIGHT, np.zeros(8)) | made_up | columns)
 
 
 def rows(flights, axes=AXES, pair=None):
     return {tuple(levels): figures for levels, figures in keep._rows(flights, axes, pair)}
 
 
-def test_flights_are_pooled_over_every_axis():
-    found = rows(flown())
-    assert set(found) == {(a, s) for a in ("a", "b", "all") for s in (0.0, 10.0, "all")}
-    assert [found[key]["flights"] for key in (("a", 0.0), ("a", "all"), ("all", 10.0), ("all", "all"))] == [2, 4, 4, 8]
-    assert (
-        found["b", "all"] | {"completed": 2, "lost": 2, "unwarned": 1, "degraded": 2, "on_course": 1}
-        == found["b", "all"]
-    )
+def pooled(over, document=None):
+    """Figures by level of the axes that are not pooled."""
+    document = document or made_up()
+    names = [axis.name for axis in document.axes if axis.name not in over]
+    return {tuple(row[name] for name in names): row for row in document.table(frozenset(over))}
+
+
+def test_flights_are_pooled_over_any_axis_when_they_are_read():
+    assert set(rows(flown())) == {(a, s) for a in ("a", "b") for s in (0.0, 10.0)}
+    of_controller, of_speed, whole = pooled({"speed"}), pooled({"controller"}), pooled({"speed", "controller"})
+    counted = (of_controller["a",], of_speed[10.0,], whole[()])
+    assert [row["flights"] for row in counted] == [4, 4, 8]
+    expected = {"completed": 2, "lost": 2, "unwarned": 1, "degraded": 2, "on_course": 1, "speed": "all"}
+    assert of_controller["b",] | expected == of_controller["b",]
+    assert (whole[()]["rotation_deg_worst"], whole[()]["rotation_deg_median"]) == (pytest.approx(20.0), None)
 
 
 def test_the_high_error_is_that_of_nine_tenths():
@@ -67,8 +75,8 @@ def test_the_high_error_is_that_of_nine_tenths():
 
 def test_errors_are_those_of_flights_that_complete():
     found = rows(flown())
-    assert found["all", "all"]["rotation_deg_worst"] == pytest.approx(20.0)
-    assert found["a", "all"]["rotation_deg_median"] == pytest.approx(2.5)
+    assert found["b", 0.0]["rotation_deg_worst"] == pytest.approx(20.0)
+    assert found["a", 10.0]["rotation_deg_median"] == pytest.approx(3.5)
     assert found["b", 10.0]["rotation_deg_median"] is None
     assert found["a", 0.0]["com_cm_worst"] == pytest.approx(2.0)
 
@@ -78,13 +86,17 @@ def test_a_failure_is_found_after_its_onset_and_a_loss_announced_before_it():
     assert found["b", 10.0]["found_s"] == pytest.approx(0.5)
     assert found["b", 10.0]["announced_s"] == pytest.approx(0.3)
     assert found["a", 0.0]["found_s"] is None
-    assert (found["b", 10.0]["modes"], found["all", "all"]["modes"]) == (1026, 2)
+    assert (found["b", 10.0]["modes"], found["a", 0.0]["modes"]) == (1026, 2)
 
 
 def test_a_level_of_pairs_has_the_flights_in_which_it_is_either():
     flights = flown().iloc[:3].assign(fault=["x", "x", "y"], fault_2=["y", "z", "z"])
-    found = rows(flights, [Axis("fault", "fault", "", ["x", "y", "z"])], ("fault", "fault_2"))
-    assert {key: figures["flights"] for key, figures in found.items()} == {("x",): 2, ("y",): 2, ("z",): 2, ("all",): 3}
+    axes = [Axis("fault", "fault", "", ["x", "y", "z"])]
+    found = rows(flights, axes, ("fault", "fault_2"))
+    assert {key: figures["flights"] for key, figures in found.items()} == {("x",): 2, ("y",): 2, ("z",): 2}
+    table = [[*levels, *figures.values()] for levels, figures in found.items()]
+    document = made_up(axes=axes, columns=["fault", *aggregate.KEPT], rows=table, paired="fault")
+    assert pooled({"fault"}, document)[()]["flights"] == 3
 
 
 @pytest.mark.parametrize(
@@ -106,7 +118,7 @@ def made_up(**more):
         "name": "made_up", "result": "sweeps/made_up", "title": "Made up", "command": "jax-aero sweep made_up",
         "created": "2026-01-02T03:04:05+00:00", "commit": "0123456789abcdef", "digest": "d", "seed": 1,
         "each": "2 in each cell, perturbed", "axes": AXES, "panels": "controller", "shows": ["errors"],
-        "outcomes": {"completed": 6, "fell": 2}, "columns": ["controller", "speed", *keep.FIGURES], "rows": table,
+        "outcomes": {"completed": 6, "fell": 2}, "columns": ["controller", "speed", *aggregate.KEPT], "rows": table,
         "about": "A push of 50 N.",
     }  # fmt: skip
     return Kept(**(parts | more))
@@ -132,7 +144,7 @@ def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
 
 def test_a_row_counts_every_outcome():
     ends = ["completed", "landed", "landing", "off_course", "crashed", "crashed", "fell", "diverged"]
-    row = dict(zip(keep.FIGURES, keep.figures(flown(outcome=ends)).values(), strict=True))
+    row = dict(zip(aggregate.KEPT, keep.figures(flown(outcome=ends)).values(), strict=True))
     assert (row["lost"], row["rotation_deg_worst"]) == (6, pytest.approx(2.0))
     document = made_up(axes=[], columns=list(row), rows=[list(row.values())], shows=[])
     (shown,) = kept_tables.of_page(document)[1]
@@ -144,8 +156,26 @@ def test_what_is_kept_is_read_again(tmp_path, monkeypatch):
     (tmp_path / "made_up.json").write_text(kept.to_json(document), encoding="utf-8")
     monkeypatch.setattr(kept, "FOLDER", tmp_path)
     kept.read.cache_clear()
-    assert kept.read("made_up") == document
+    assert kept.read("made_up") == msgspec.structs.replace(document, seal=kept.seal_of(document))
     assert stored.findings() == {}
+    kept.read.cache_clear()
+
+
+@pytest.mark.parametrize("name", kept.names())
+def test_a_kept_result_with_another_number_is_refused(name, tmp_path, monkeypatch):
+    """A count of one row, or else a figure of the summary; and no row is a sum of others."""
+    document = kept.read(name)
+    assert not [row for row in document.rows if kept.ALL in row[: len(document.axes)]]
+    table, place = msgspec.to_builtins(document), document.columns.index("unwarned") if document.rows else 0
+    if document.rows:
+        table["rows"][-1][place] += 1
+    else:
+        table["summary"] = {**table["summary"], next(iter(table["summary"])): 0.125}
+    (tmp_path / f"{name}.json").write_text(json.dumps(table), encoding="utf-8")
+    monkeypatch.setattr(kept, "FOLDER", tmp_path)
+    kept.read.cache_clear()
+    with pytest.raises(Refused, match=rf"{name}\.json is not what was written there"):
+        kept.read(name)
     kept.read.cache_clear()
 
 
@@ -210,7 +240,7 @@ def test_a_kept_sweep_whose_bits_are_those_of_its_processor_succeeds_as_often(na
     configs = [design.row_config(repeat * len(design.cells) + cell) for repeat in range(FLOWN)]
     flown = backends.backend(design.spec.backend).fly_batch(configs)
     here = wilson(sum(flight.outcome in UPRIGHT for flight in flown), FLOWN)
-    there = kept.read(name).cells()[cell]
+    there = kept.read(name).sweep.rows[cell]
     assert max(here[0], there["upright_low"]) <= min(here[1], there["upright_high"]), cell
 
 
@@ -221,7 +251,7 @@ def test_a_kept_sweep_of_other_cells_is_not_flown_again():
 
 
 def test_a_picture_has_the_figures_of_the_table():
-    sweep = pictures.sweep_of(made_up(drawing="curve"))
+    sweep = made_up(drawing="curve").sweep
     cell = sweep.cells.set_index(["controller", "speed"]).loc["a", 10.0]
     assert cell["rotation_error_deg_median"] == pytest.approx(3.5)
     assert cell["com_error_worst"] == pytest.approx(0.02)

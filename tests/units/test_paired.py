@@ -6,7 +6,7 @@ import pytest
 
 from jax_aero.base.terminal import Refused
 from jax_aero.results.table import csv_table, latex_table, text_table
-from jax_aero.sweep import columns, listing, paired, table
+from jax_aero.sweep import aggregate, columns, listing, paired
 from jax_aero.sweep.intervals import bootstrap, newcombe
 
 ENDS = ("", "_low", "_high")
@@ -88,8 +88,8 @@ def test_a_table_of_cells_has_intervals_and_no_empty_column():
 
 
 def test_every_column_has_unit_and_meaning():
-    cells = {"cell", *table._cell({name: np.zeros(0) for name in columns.FLIGHT})}
-    assert cells == set(columns.CELLS)
+    cells = {"cell", *aggregate.figures({name: np.zeros(0) for name in columns.FLIGHT})}
+    assert cells == {*columns.CELLS, *aggregate.KEPT} - {"found_s"}
     assert columns.CELLS["joint_error_sum_deg_median"][1:] == (
         "deg",
         "median of: greatest sum of absolute joint errors",

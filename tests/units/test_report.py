@@ -8,6 +8,7 @@ import shutil
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -21,7 +22,7 @@ from experiments.report.judge import AGREES, NOT_FLOWN, OUTDATED, Finding, Kind,
 from experiments.report.measures import files
 from experiments.report.measures import results as measures
 from experiments.report.page import inline, literal, table, to_html
-from experiments.report.results import ANOTHER, Flight, Results, Sweep
+from experiments.report.results import ANOTHER, Flight, Results
 from jax_aero import rust
 from jax_aero.base import places, plain, tables
 from jax_aero.base.named import file_hash
@@ -32,6 +33,7 @@ from jax_aero.data import battery
 from jax_aero.results import manifest, outdated, record
 from jax_aero.results.flight import identity_of
 from jax_aero.results.identity import Identity
+from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep import run, spec
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
@@ -273,8 +275,10 @@ def test_a_judge_that_fails_is_an_error_and_keeps_no_older_verdict(results, tmp_
 
 
 def test_a_cell_is_the_only_one_with_its_levels():
-    sweep = Sweep({}, [cell(i, 8, 8, 8, world="ahead", scale=scale) for i, scale in enumerate((1.0, 2.0))])
-    assert sweep.cell(scale=2.0) is sweep.cells[1]
+    sweep = SweepResult(
+        "s", {}, pd.DataFrame([cell(i, 8, 8, 8, world="ahead", scale=scale) for i, scale in enumerate((1.0, 2.0))])
+    )
+    assert sweep.cell(scale=2.0) == sweep.rows[1]
     with pytest.raises(KeyError, match=r"world = side, scale = 1\.0"):
         sweep.cell(world="side", scale=1.0)
     with pytest.raises(ValueError, match="too many values"):

@@ -21,7 +21,7 @@ from experiments.report.results import Results
 from jax_aero.aero import dataset
 from jax_aero.base import documents, files, netcdf, run_file, sizes, tables
 from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
-from jax_aero.base.parquet import read_rows, read_table
+from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import Refused
 from jax_aero.figures import runs, sweeps
 from jax_aero.results import keep, record
@@ -264,7 +264,7 @@ def test_a_table_whose_rows_become_objects_is_small(tmp_path, monkeypatch):
     pq.write_table(pa.table({"cell": np.zeros(10**5)}), tmp_path / "cells.parquet")
     monkeypatch.setattr(sizes, "MAX_OBJECTS", 10**4)
     with pytest.raises(Refused, match=r"cells\.parquet is damaged \(it holds 100000 values"):
-        read_rows(tmp_path / "cells.parquet")
+        read_table(tmp_path / "cells.parquet", sizes.MAX_OBJECTS)
     with pytest.raises(ValueError, match="it holds 20001 values"):
         parse_json(b"[" + b"0," * 20_000 + b"0]")
 

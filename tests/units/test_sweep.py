@@ -25,7 +25,7 @@ from jax_aero.base.terminal import Refused
 from jax_aero.cli import main
 from jax_aero.commands import sweep as command
 from jax_aero.results import identity, outdated
-from jax_aero.sweep import cluster, columns, keys, run, spec, table
+from jax_aero.sweep import aggregate, cluster, columns, keys, run, spec, table
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
 from jax_aero.sweep.perturbation import PARTS, Perturbation, members, perturbed
@@ -572,17 +572,16 @@ def test_the_interval_is_wilsons(successes, trials, low, high, measured):
 def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
     """Eleven flights whose figures are 0 to 10; the last two fell, one of them before errors of position count."""
     ramp = np.arange(11.0)
-    names = {*columns.QUANTITIES.values(), "degraded_time"}
-    flights = dict.fromkeys(names, ramp) | {"outcome": np.array(["completed"] * 9 + ["fell"] * 2)}
+    flights = dict.fromkeys(columns.FLIGHT, ramp) | {"outcome": np.array(["completed"] * 9 + ["fell"] * 2)}
     flights["warning_time"] = np.array([0.0] * 9 + [0.29, 0.3])
     flights["lost_time"] = np.array([np.nan] * 9 + [2.9, 8.0])
     flights["max_com_error"], flights["max_rotation_error_deg"] = 0.1 * ramp, 10.0 * ramp
     flights["max_com_error"][9] = np.nan
-    found = table._cell(flights)
+    found = aggregate.figures(flights)
     counted = {"flights": 11, "errors": 0, "completed": 9, "fell": 2, "degraded": 10}
     assert counted.items() <= found.items()
     assert found["on_course"] == np.sum(
-        (0.1 * ramp[:9] <= table.ON_COURSE_COM) & (10.0 * ramp[:9] <= table.ON_COURSE_ROTATION)
+        (0.1 * ramp[:9] <= aggregate.ON_COURSE_COM) & (10.0 * ramp[:9] <= aggregate.ON_COURSE_ROTATION)
     )
     agree("interval", (found["completed_low"], found["completed_high"]), wilson(9, 11), 1e-15)
     shares = {"p10": 1.0, "median": 5.0, "p90": 9.0, "worst": 10.0}
@@ -644,9 +643,9 @@ def test_a_cell_of_another_engine_is_refused_before_the_first_flight(change):
 )
 def test_a_flight_counts_by_how_it_ends(outcome, com_error, counted):
     """It comes down or is lost; one that ends within its start-up has no error of position, and is not on course."""
-    flights = dict.fromkeys(columns.QUANTITIES.values(), np.zeros(1)) | {"max_com_error": np.array([com_error])}
+    flights = dict.fromkeys(columns.FLIGHT, np.zeros(1)) | {"max_com_error": np.array([com_error])}
     ended = {"lost_time": np.array([1.0 if "unwarned" in counted else np.nan]), "degraded_time": np.ones(1)}
-    found = table._cell(flights | ended | {"outcome": np.array([outcome])})
+    found = aggregate.figures(flights | ended | {"outcome": np.array([outcome])})
     counts = (*columns.OUTCOMES, *columns.SHARES, "lost", "unwarned")
     assert {name for name in counts if found[name]} - {"degraded"} == counted
     assert found["com_error_worst"] == (None if np.isnan(com_error) else com_error)
@@ -660,7 +659,7 @@ def test_what_the_guard_finds_is_unknown_of_jax():
         flown = table.rows(made.spec, made.cells, [0], [made.row_config(0)], [result])
         row = flown.to_pylist()[0]
         assert {row[name] for name in table.OF_DETECTION} == {known}
-        cell = table._cell({name: flown[name].to_numpy(zero_copy_only=False) for name in flown.column_names})
+        cell = aggregate.figures({name: flown[name].to_numpy(zero_copy_only=False) for name in flown.column_names})
         assert (cell["degraded"], cell["completed"]) == (known, 1)
 
 

@@ -16,8 +16,9 @@ from jax_aero.figures.ablation import _is_geometric
 from jax_aero.figures.catalogue import SWEEPS
 from jax_aero.figures.drawings import DRAWINGS
 from jax_aero.figures.scatter import correlations
-from jax_aero.figures.sweeps import Sweep, axis_label, load
+from jax_aero.figures.sweeps import axis_label, load
 from jax_aero.results.identity import Identity
+from jax_aero.results.sweep import SweepResult
 
 AXES = {
     "world": {"name": "world", "label": "world", "unit": "", "levels": ["side", "ahead"]},
@@ -243,7 +244,7 @@ def test_a_unit_stands_in_brackets():
 def test_an_input_counts_by_its_distance_from_the_middle(tmp_path, agree):
     offset = np.linspace(-1.0, 1.0, 21)
     flights = pd.DataFrame({"speed": np.arange(21.0), "bias": offset, "error": np.abs(offset)})
-    sweep = Sweep("s", {"axes": [{"name": "speed"}, {"name": "bias"}], "panels": ""}, tmp_path)
+    sweep = SweepResult("s", {"axes": [{"name": "speed"}, {"name": "bias"}], "panels": ""}, flights)
     found = correlations(sweep, flights, flights["error"])
     agree("bias", found["bias"], 1.0, 1e-12)
     assert abs(found["speed"]) < 0.2

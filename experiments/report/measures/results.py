@@ -384,7 +384,7 @@ def wind_estimate(results: Results) -> Measured:
 def cells(results: Results, *, name: str, claim: Criterion) -> Measured:
     """Measure what a sweep has for the claim in its file."""
     sweep = results.sweep(name)
-    return of_cells([cell for cell in sweep.cells if claim.covers(cell)], sweep.axes, claim)
+    return of_cells([cell for cell in sweep.rows if claim.covers(cell)], sweep.names, claim)
 
 
 def of_cells(cells: list[Cell], axes: Iterable[str], claim: Criterion) -> Measured:

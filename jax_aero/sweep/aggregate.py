@@ -1,0 +1,118 @@
+"""Figures of several flights of a sweep: counts with their intervals, quantiles, what fault detection found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from jax_aero.base.result import LOST, UPRIGHT
+from jax_aero.rust import MODES
+from jax_aero.sweep import columns
+from jax_aero.sweep.intervals import wilson
+
+ON_COURSE_ROTATION = 15.0
+ON_COURSE_COM = 0.25
+"""Greatest errors [deg, m] of a completed flight that counts as on course, which is stricter than completed.
+
+A flight that ends within its start-up has no position error and does not count.
+"""
+
+UPRIGHT_ERRORS = {"rotation_deg": ("max_rotation_error_deg", 1.0), "com_cm": ("max_com_error", 100.0)}
+"""Errors of the flights that complete or land: column of the table of flights, and factor."""
+
+UPRIGHT_ENDS = {"median": 0.5, "high": 0.9, "worst": 1.0}
+
+KEPT: tuple[str, ...] = (
+    *("flights", "completed", "landed", "landing", "on_course", "off_course"),
+    *("lost", "crashed", "unwarned", "degraded"),
+    *(f"{name}_{end}" for name in UPRIGHT_ERRORS for end in UPRIGHT_ENDS),
+    *("found_s", "announced_s", "lost_s", "modes"),
+)
+"""Figures that are kept in the documentation."""
+
+COUNTS = KEPT[:10]
+"""Those of them that are numbers of flights."""
+
+
+def figures(flights: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of flights, by the columns of the tables of cells (`columns.CELLS`) and of `KEPT`.
+
+    `flights` are columns of the table of flights, and `onset`, when the first failure begins [s], if it is known. Of
+    the warnings, quantiles are those of flights that a loss ends.
+    """
+    flown = np.asarray(flights["outcome"]) != "error"
+    flights = {name: np.asarray(values)[flown] for name, values in flights.items()}
+    flights["warning_time"] = np.where(np.isnan(flights["lost_time"]), np.nan, flights["warning_time"])
+    found: dict[str, Any] = {"flights": int(flown.sum()), "errors": int((~flown).sum()), **counts(flights)}
+    for name in columns.SHARES:
+        found[f"{name}_low"], found[f"{name}_high"] = wilson(found[name], found["flights"])
+    if found["flights"] and np.isnan(flights["degraded_time"]).all():
+        found |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
+    for name, column in columns.QUANTITIES.items():
+        ends = quantiles(flights[column], columns.QUANTILES.values())
+        found |= {f"{name}_{end}": value for end, value in zip(columns.QUANTILES, ends, strict=True)}
+    upright, lost = (np.isin(flights["outcome"], ends) for ends in (UPRIGHT, LOST))
+    for name, (column, factor) in UPRIGHT_ERRORS.items():
+        ends = quantiles(factor * flights[column][upright], UPRIGHT_ENDS.values())
+        found |= {f"{name}_{end}": value for end, value in zip(UPRIGHT_ENDS, ends, strict=True)}
+    if "onset" in flights:
+        degraded = flights["degraded_time"] > 0.0
+        (found["found_s"],) = quantiles((flights["nominal_until"] - flights["onset"])[degraded], [0.5])
+    (found["announced_s"],), (found["lost_s"],) = (
+        quantiles(flights[name][lost], [0.5]) for name in ("warning_time", "lost_time")
+    )
+    bits = np.nan_to_num(flights["all_modes"].astype(float)).astype(int)
+    found["modes"] = sum(bit for bit in MODES.values() if len(bits) and np.mean((bits & bit) > 0) >= 0.5)
+    return found
+
+
+def counts(flights: Mapping[str, Any]) -> dict[str, int]:
+    """Return how many flights ended how, upright, on course, lost, lost unwarned, and were degraded for a time."""
+    outcome = flights["outcome"]
+    near = (flights["max_rotation_error_deg"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
+    lost, is_to_the_end = np.isin(outcome, LOST), np.isnan(flights["lost_time"])
+    late = np.where(is_to_the_end, flights["degraded_time"] <= 0.0, flights["warning_time"] < columns.LEAST_WARNING)
+    which = {
+        **{name: outcome == name for name in columns.OUTCOMES},
+        "upright": np.isin(outcome, UPRIGHT),
+        "on_course": (outcome == "completed") & near,
+        "lost": lost,
+        "unwarned": lost & late,
+        "degraded": flights["degraded_time"] > 0.0,
+    }
+    return {name: int(rows.sum()) for name, rows in which.items()}
+
+
+def quantiles(values: Any, shares: Iterable[float]) -> list[float | None]:
+    """Return quantiles of the values that are finite; `None` without any."""
+    values, shares = values.astype(float), list(shares)
+    known = values[np.isfinite(values)]
+    return np.quantile(known, shares).tolist() if len(known) else [None] * len(shares)
+
+
+def pool(rows: Iterable[Mapping[str, Any]], times: int = 1) -> dict[str, Any]:
+    """Return the kept figures of all flights of some rows, each of which is in so many of these.
+
+    Numbers of flights add up, and the greatest error is that of a row; quantiles of several rows are unknown.
+    """
+    rows = list(rows)
+    if len(rows) == 1:
+        return {name: rows[0][name] for name in KEPT}
+    found: dict[str, Any] = dict.fromkeys(KEPT) | {name: sum(row[name] for row in rows) // times for name in COUNTS}
+    for name in (f"{name}_worst" for name in UPRIGHT_ERRORS):
+        found[name] = max((row[name] for row in rows if row[name] is not None), default=None)
+    return found
+
+
+def as_cell(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return kept figures by the columns of the table of cells: errors are those of flights that complete or land."""
+    cell: dict[str, Any] = {name: row[name] for name in COUNTS} | {"upright": row["completed"] + row["landed"]}
+    for share in ("completed", "upright"):
+        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(cell[share], row["flights"])
+    for name, (column, factor) in UPRIGHT_ERRORS.items():
+        for quantile, end in (("p10", "median"), ("median", "median"), ("p90", "high"), ("worst", "worst")):
+            value = row[f"{name}_{end}"]
+            cell[f"{column.removeprefix('max_')}_{quantile}"] = None if value is None else value / factor
+    return cell
