@@ -10,14 +10,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jax_aero.base.terminal import Refused
-from jax_aero import backends
-from jax_aero.results import manifest, record, study
-from jax_aero.results.identity import Identity, computed_by
-from jax_aero import rust
+from jax_aero import backends, rust
 from jax_aero.base import documents, places, typed
 from jax_aero.base.files import lock_work
-from jax_aero.base.terminal import progress_bar
+from jax_aero.base.terminal import Refused, progress_bar
+from jax_aero.results import manifest, record, study
+from jax_aero.results.identity import Identity, computed_by
 
 PAPER_RUNS = tuple(
     f"{name}{arms}" for arms in ("", "_published") for name in ("test1", "test2", "test3", "test4", "robustness")

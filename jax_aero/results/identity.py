@@ -1,7 +1,7 @@
 """What a result is of: its configuration with the files that it names, and versions of the numbers that made it.
 
 A result of another identity is refused: by the command that makes it without --overwrite, by report and figures
-(`jax_aero.results.outdated`) without --stale; and unfinished work of another identity is not resumed. Comments, help, layout
+(`outdated`) without --stale; and unfinished work of another identity is not resumed. Comments, help, layout
 and docstrings change no identity.
 """
 

@@ -17,24 +17,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jax_aero.base.terminal import Refused
 from jax_aero import backends
-from jax_aero.results import outdated
+from jax_aero.base import documents, places
+from jax_aero.base.arguments import Parser, complete_with
+from jax_aero.base.files import read_json, write_text
+from jax_aero.base.terminal import Refused, exit_status
+from jax_aero.results import kept, outdated, sweep
 from jax_aero.results.identity import numerics_of
-from jax_aero.results import kept
 from jax_aero.results.kept import Axis, Kept
 from jax_aero.results.outdated import ANOTHER
 from jax_aero.sweep import aggregate, run, spec
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.perturbation import perturbed
 from jax_aero.sweep.spec import Spec
-from jax_aero.base import documents, places
-from jax_aero.base.files import find_damaged, read_json, write_text
-from jax_aero.base.parquet import read_table
-from jax_aero.base.result import LOST, UPRIGHT
-from jax_aero.base.terminal import exit_status
-from jax_aero.base.arguments import Parser, complete_with
-from jax_aero.rust import MODES
 
 FIRST = ("max_rotation_error", "thrust_max", "end_com_x", "end_com_z")
 """Figures that are kept of the first flight of each cell."""

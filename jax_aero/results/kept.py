@@ -16,11 +16,11 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+from jax_aero.base import places
+from jax_aero.base.files import read_json
 from jax_aero.base.terminal import Refused
 from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep import aggregate
-from jax_aero.base import places
-from jax_aero.base.files import read_json
 
 FOLDER = places.HOME / "docs" / "results"
 MOST_LEVELS = 16

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 import re
-from itertools import combinations
 from collections.abc import Iterable, Mapping, Sequence, Set
+from itertools import combinations
 from typing import Any, NamedTuple, TypeVar
 
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.base.quantities import converted
 from jax_aero.base.terminal import Refused
 from jax_aero.results import kept
 from jax_aero.results.kept import ALL, Kept
 from jax_aero.sweep.intervals import wilson
-from jax_aero import rust
-from jax_aero.base import places
-from jax_aero.base.quantities import converted
 
 UNIT = re.compile(r"\s*\[(?P<unit>[^\]]+)\]$")
 SIGNS = str.maketrans("234", "²³⁴")

@@ -13,11 +13,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from jax_aero.results.identity import Identity
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.files import replace_infinite
 from jax_aero.base.typed import make_portable as make_portable
+from jax_aero.results.identity import Identity
 
 
 def build(

@@ -1,4 +1,4 @@
-"""What differs between a local result and today's of its name: configuration, files, numerics (`jax_aero.results.identity`).
+"""What differs between a local result and today's of its name: configuration, files, numerics (`identity`).
 
 If the configuration differs, its keys are named; if no key differs, a file named in it does. A sweep names its file;
 a flight whose name is not shipped, such as that of a user's file, is checked by the versions of its numbers alone.
@@ -10,14 +10,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from jax_aero.base.terminal import Refused
-from jax_aero.results import manifest
-from jax_aero.cfd.settings import FlowConfig
-from jax_aero.results.identity import other_numerics
 from jax_aero import rust
 from jax_aero.base import documents, kinds, places, plain, tables
 from jax_aero.base.files import read_json
 from jax_aero.base.named import file_hash
+from jax_aero.base.terminal import Refused
+from jax_aero.cfd.settings import FlowConfig
+from jax_aero.results import manifest
+from jax_aero.results.identity import other_numerics
 
 ANOTHER = "made of another configuration or numerics than today's"
 """What a result is, followed by the difference."""

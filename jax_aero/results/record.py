@@ -15,8 +15,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from jax_aero.base.terminal import Refused
-from jax_aero.results.identity import ANOTHER, Identity
 from jax_aero import rust
 from jax_aero.base import documents
 from jax_aero.base.files import (
@@ -32,6 +30,8 @@ from jax_aero.base.kinds import KINDS
 from jax_aero.base.places import MANIFEST_FILE, RUN_FILE, SWEEP_FILE
 from jax_aero.base.quantities import attributes_of
 from jax_aero.base.result import FlightResult, is_repeated, labels_of
+from jax_aero.base.terminal import Refused
+from jax_aero.results.identity import ANOTHER, Identity
 
 
 def to_dataset(

@@ -2,7 +2,7 @@
 
 A kind of study consists of a type of configuration and a function from it to findings. The configuration is a TOML file
 of the study's folder, with paths relative to that file, or, if there is none, the defaults of the type. Keys
-changed by --set give a separate result (`jax_aero.results.overrides`). Keys, flights and every file named enter the digest,
+changed by --set give a separate result (`overrides`). Keys, flights and every file named enter the digest,
 by which an outdated result is recognised.
 """
 
@@ -20,18 +20,16 @@ from typing import Any, Generic, TypeVar
 import xarray as xr
 from msgspec import structs
 
-from jax_aero.base.terminal import Refused
-from jax_aero.results import manifest, overrides, record
-from jax_aero.results.identity import Identity
-from jax_aero.results.work import Work
 from jax_aero import rust
-from jax_aero.base import arguments
-from jax_aero.base import kinds, places, plain, tables
+from jax_aero.base import arguments, kinds, places, plain, tables
+from jax_aero.base.arguments import Parser, complete_with
 from jax_aero.base.files import lock_work
 from jax_aero.base.keys import parts, set_key
 from jax_aero.base.named import file_hash
-from jax_aero.base.terminal import exit_status
-from jax_aero.base.arguments import Parser, complete_with
+from jax_aero.base.terminal import Refused, exit_status
+from jax_aero.results import manifest, overrides, record
+from jax_aero.results.identity import Identity
+from jax_aero.results.work import Work
 
 C = TypeVar("C", bound=tables.Table)
 

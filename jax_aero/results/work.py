@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jax_aero.results.identity import Identity
 from jax_aero.base import places
 from jax_aero.base.files import resolve, seal, unseal, write_bytes
+from jax_aero.results.identity import Identity
 
 
 @dataclass(frozen=True)
