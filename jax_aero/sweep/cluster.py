@@ -11,9 +11,9 @@ import os
 import pickle
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
-from jax_aero.base import places
 from jax_aero.base.arguments import count
 from jax_aero.base.terminal import Refused, missing_package
 from jax_aero.results import manifest
@@ -83,7 +83,7 @@ ONLY_HERE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 
 def _connect(ray: Any, address: str | None, workers: int | None) -> None:
     # The driver's folder is not on the workers' path if it was started as `python -m`.
-    environment = {"env_vars": {"PYTHONPATH": str(places.HOME)}}
+    environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parents[2])}}
     quiet = {"log_to_driver": False, "logging_level": "error", "runtime_env": environment}
     if address:
         ray.init(address=address, **quiet)
