@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from jax_aero.base import checkout
 from jax_aero.base.arguments import Parser
@@ -79,134 +80,71 @@ NEEDS = {
 
 def function_of(command: str) -> Callable[[Sequence[str]], int | None]:
     """Return the function of a command or sub-command; its module is imported here, so that no other waits for it."""
+    module: Any
     match command:
         case "fly":
-            from jax_aero.commands import fly
-
-            return fly.main
+            from jax_aero.commands import fly as module
         case "sweep":
-            from jax_aero.commands import sweep
-
-            return sweep.main
+            from jax_aero.commands import sweep as module
         case "challenge":
-            from jax_aero.commands import challenge
-
-            return challenge.main
+            from jax_aero.commands import challenge as module
         case "figures":
-            from jax_aero.commands import figures
-
-            return figures.main
+            from jax_aero.commands import figures as module
         case "report":
-            return checkout.load("experiments.report.command").main  # type: ignore[no-any-return]
+            module = checkout.load("experiments.report.command")
         case "report keep":
-            from jax_aero.results import keep
-
-            return keep.main
-        case "view":
-            from jax_aero.commands import view
-
-            return view.view
-        case "view video":
-            from jax_aero.commands import view
-
-            return view.video
-        case "view snapshot":
-            from jax_aero.commands import view
-
-            return view.snapshot
-        case "export":
-            from jax_aero.commands import view
-
-            return view.export
+            from jax_aero.results import keep as module
         case "replay":
-            from jax_aero.commands import replay
-
-            return replay.main
+            from jax_aero.commands import replay as module
         case "identify":
-            from jax_aero.commands import identify
-
-            return identify.main
+            from jax_aero.commands import identify as module
         case "study":
-            from jax_aero.commands import study
-
-            return study.main
+            from jax_aero.commands import study as module
         case "air":
-            from jax_aero.commands import air
-
-            return air.main
+            from jax_aero.commands import air as module
         case "verify":
-            from jax_aero.commands import verify
-
-            return verify.main
+            from jax_aero.commands import verify as module
         case "robot import":
-            from jax_aero.commands import robot
-
-            return robot.main
+            from jax_aero.commands import robot as module
         case "robot waypoints":
-            from jax_aero.robot import waypoints
-
-            return waypoints.main
+            from jax_aero.robot import waypoints as module
         case "data import-bench":
-            from jax_aero.data import import_bench
-
-            return import_bench.main
+            from jax_aero.data import import_bench as module
         case "data import-cfd":
-            from jax_aero.data import import_cfd
-
-            return import_cfd.main
+            from jax_aero.data import import_cfd as module
         case "data import-tunnel":
-            from jax_aero.data import import_tunnel
-
-            return import_tunnel.main
+            from jax_aero.data import import_tunnel as module
         case "data import-pressures":
-            from jax_aero.data import import_pressures
-
-            return import_pressures.main
+            from jax_aero.data import import_pressures as module
         case "data fit-aero":
-            from jax_aero.data import fit_aero
-
-            return fit_aero.main
+            from jax_aero.data import fit_aero as module
         case "train":
-            from jax_aero.commands import train
-
-            return train.main
+            from jax_aero.commands import train as module
         case "train ensemble":
-            from jax_aero.train import ensemble
-
-            return ensemble.main
+            from jax_aero.train import ensemble as module
         case "train search":
-            from jax_aero.train import search
-
-            return search.main
+            from jax_aero.train import search as module
         case "cfd":
-            from jax_aero.commands import cfd
-
-            return cfd.main
+            from jax_aero.commands import cfd as module
         case "cfd verify":
-            from jax_aero.cfd import verify as cfd_verify
-
-            return cfd_verify.main
+            from jax_aero.cfd import verify as module
         case "cfd flow":
-            from jax_aero.cfd import flow as cfd_flow
-
-            return cfd_flow.main
+            from jax_aero.cfd import flow as module
         case "cfd compare":
-            from jax_aero.cfd import compare as cfd_compare
-
-            return cfd_compare.main
+            from jax_aero.cfd import compare as module
         case "cfd tunnel":
-            from jax_aero.cfd import tunnel as cfd_tunnel
-
-            return cfd_tunnel.main
+            from jax_aero.cfd import tunnel as module
         case "cfd taps":
-            from jax_aero.cfd import taps as cfd_taps
-
-            return cfd_taps.main
+            from jax_aero.cfd import taps as module
         case "rename":
-            from jax_aero.commands import rename
+            from jax_aero.commands import rename as module
+        case "view" | "view video" | "view snapshot" | "export":
+            from jax_aero.commands import view
 
-            return rename.main
-    raise KeyError(command)
+            return getattr(view, command.split()[-1])  # type: ignore[no-any-return]
+        case _:
+            raise KeyError(command)
+    return module.main  # type: ignore[no-any-return]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
