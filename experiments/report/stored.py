@@ -33,9 +33,9 @@ def findings() -> dict[str, Finding]:
 
 
 def _find(document: Kept, asked: Criterion, differs: str) -> Finding:
-    axes = {axis.name for axis in document.axes}
-    cells = document.table(axes - {*asked.cells}) if asked.share else document.sweep.rows
-    found = of_cells([cell for cell in cells if asked.covers(cell)], document.sweep.names, asked)
+    twice = {document.paired} - {"", *asked.cells}  # a flight of pairs is in two rows
+    cells = [cell for cell in document.cells(twice if asked.share else frozenset()) if asked.covers(cell)]
+    found = of_cells(cells, [axis.name for axis in document.axes], asked)
     verdict = judge.of_sweep(document.name, asked).judge(found.cases)
     if differs:
         return Finding(f"{found.text}; {ANOTHER}: {differs}", Verdict.of(Kind.OUTDATED, verdict.text), document.commit)

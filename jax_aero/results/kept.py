@@ -100,12 +100,16 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
         names, times = [axis.name for axis in self.axes], 2 if self.paired in pooled else 1
         return [dict(zip(names, at, strict=True)) | aggregate.pool(mine, times) for at, mine in groups.items()]
 
+    def cells(self, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
+        """Return the rows, pooled or not, with the columns of a sweep's table of cells."""
+        return [row | aggregate.as_cell(row) for row in self.table(pooled)]
+
     @property
     def sweep(self) -> SweepResult:
         """Return a kept sweep as figures and report read one."""
         axes = [msgspec.to_builtins(axis) for axis in self.axes]
         document = {"title": self.title, "drawing": self.drawing, "panels": self.panels, "axes": axes}
-        cells = pd.DataFrame([row | aggregate.as_cell(row) for row in self.table()]).fillna(np.nan)
+        cells = pd.DataFrame(self.cells()).fillna(np.nan)
         return SweepResult(
             self.name,
             document | {"config_digest": self.digest},
