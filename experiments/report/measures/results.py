@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -387,7 +387,7 @@ def cells(results: Results, *, name: str, claim: Criterion) -> Measured:
     return of_cells([cell for cell in sweep.rows if claim.covers(cell)], sweep.names, claim)
 
 
-def of_cells(cells: list[Cell], axes: Iterable[str], claim: Criterion) -> Measured:
+def of_cells(cells: Sequence[Cell], axes: Iterable[str], claim: Criterion) -> Measured:
     """Return shares of flights, or flights that do not succeed and bounded quantities by cell."""
     if not cells:
         raise LookupError(f"no cell of the claim `{claim.key}`")
@@ -400,7 +400,7 @@ def of_cells(cells: list[Cell], axes: Iterable[str], claim: Criterion) -> Measur
     return Measured({**shares, **dict(_by_cell(cells, varying, claim))}, "; ".join(said))
 
 
-def _share(cells: list[Cell], share: Share) -> tuple[str, dict[str, Any]]:
+def _share(cells: Sequence[Cell], share: Share) -> tuple[str, dict[str, Any]]:
     """Return a share with its interval and the least count that refutes it, and by how many flights it is too great."""
     part, whole = (sum(int(cell[key]) for cell in cells) for key in (share.of, share.among))
     most, (low, high) = int(share.at_most * whole + 1e-9), wilson(part, whole)
@@ -409,7 +409,7 @@ def _share(cells: list[Cell], share: Share) -> tuple[str, dict[str, Any]]:
     return text, {"above": part - most, "limit": 100.0 * share.at_most, "is_decided": is_decided}
 
 
-def _by_cell(cells: list[Cell], varying: list[str], claim: Criterion) -> Iterator[tuple[str, dict[str, Any]]]:
+def _by_cell(cells: Sequence[Cell], varying: list[str], claim: Criterion) -> Iterator[tuple[str, dict[str, Any]]]:
     for cell in cells:
         levels = [f"{cell[axis]:g}" if isinstance(cell[axis], float) else str(cell[axis]) for axis in varying]
         others = cell["flights"] - cell[claim.success]
@@ -424,7 +424,7 @@ def _interval(part: int, whole: int) -> str:
     return f"{part} of {whole} ({low:.1f} to {high:.1f} %)"
 
 
-def _ranges(cells: list[Cell], columns: Iterable[str]) -> Iterator[str]:
+def _ranges(cells: Sequence[Cell], columns: Iterable[str]) -> Iterator[str]:
     """Yield the medians of the greatest rotation errors, the greatest, and the ranges of other columns."""
     medians, worst = (
         [cell[f"rotation_error_deg_{end}"] for cell in cells if cell[f"rotation_error_deg_{end}"] is not None]
