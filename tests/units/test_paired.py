@@ -92,7 +92,7 @@ def test_every_column_has_unit_and_meaning():
     assert cells == {*columns.CELLS, *aggregate.KEPT} - {"found_s"}
     assert columns.CELLS["joint_error_sum_deg_median"][1:] == (
         "deg",
-        "median of: greatest sum of absolute joint errors",
+        "median over all flights that have it of: greatest sum of absolute joint errors",
     )
     assert columns.CELLS["com_error_worst"].unit == "m"
     assert not [name for name, of in {**columns.FLIGHTS, **columns.CELLS}.items() if of.unit == "rad"]

@@ -118,7 +118,7 @@ def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axe
         ("pairs", ["fault", "fault_2", "scale"], "scale", "expected the axes of pairs beside at most two panels"),
         ("front", ["terms", "world"], "world", "expected missions such as `upright, 14 s`, and panels"),
         ("curve", ["world"], "world", "expected an axis beside the panels"),
-        ("curve", ["world", "terms", "speed", "scale"], "", "expected at most 7 combinations"),
+        ("curve", ["mission", "world", "terms", "speed", "scale"], "", "expected at most 13 combinations"),
     ],
 )
 def test_a_drawing_that_does_not_suit_the_axes_is_one_line(drawing, axes, panels, expected, tmp_path, capsys):
