@@ -31,22 +31,13 @@ from jax_aero.body.spatial import wxyz_from_rotation
 from jax_aero.view import Refused, recording
 from jax_aero.view.columns import FORMS, TABLES, Array, Series, read_mcap
 from jax_aero.view.export import column_name
+from jax_aero.view.formats import FORMATS as FORMATS
+from jax_aero.view.formats import instead_of
 from jax_aero.view.matlab import read_mat
 from jax_aero.view.recording import Recording, entries_of
 
 QUATERNION = "raw_base_quaternion"
 """Signal of a mapping, in the place of `raw_base_rotation`: (w, x, y, z)."""
-
-FORMATS = (".mcap", ".mat", *TABLES)
-"""Suffixes of logs other than results."""
-
-CONVERTERS = {
-    **dict.fromkeys((".bin", ".tlog"), "; `mavlogdump.py --format csv` makes CSV of it"),
-    **dict.fromkeys((".bag", ".db3"), "; PlotJuggler exports CSV, `ros2 bag convert` makes MCAP (JSON is read)"),
-    **dict.fromkeys((".gz", ".zip", ".xz", ".zst"), "; unpack it first"),
-    ".ulg": "; `ulog2csv` makes CSV of it",
-}
-"""What makes a log that is read of one of another format, by suffix."""
 
 NEEDED = ("raw_base_position", "raw_base_rotation", "raw_base_velocity", "raw_joint_position", "raw_thrust")
 """Signals without which no flight can begin."""
@@ -197,11 +188,6 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
             source = None if signal == "time" else sources.get(signal)  # whose readers return seconds
             signals[signal] = [_in_our_units(columns[name], source, name, path) for name in names]
     return Log(signals, own, scale)
-
-
-def instead_of(path: Path) -> str:
-    """Return which files are read, and what makes one of this file of another format."""
-    return f"a file of {', '.join(FORMATS)}{CONVERTERS.get(path.suffix.lower(), '')}"
 
 
 def read_flight(path: Path, config: rust.Config | None, mapping: Path | None, robot_file: str | None) -> Recording:

@@ -20,6 +20,7 @@ from jax_aero.base.result import ending, labels_of
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.urdf import Vector
 from jax_aero.view import Refused, require
+from jax_aero.view.formats import instead_of
 from jax_aero.view.shapes import Look, look_of
 
 SIGNALS = (
@@ -271,8 +272,6 @@ def _run_file(path: Path) -> Path:
     if not path.is_file():
         raise Refused(f"there is no `{path}`; {EXPECTED}")
     if path.suffix.lower() not in (".nc", ""):
-        from jax_aero.view.logs import instead_of
-
         raise Refused(f"`{path}` is of a format that is not read; {EXPECTED}, or {instead_of(path)}")
     return path
 
