@@ -468,8 +468,6 @@ def test_jax_refuses_feet_by_name():
     config = standing(backend="mujoco")
     for section, key in [
         ("simulator", "ground"),
-        ("simulator", "motors"),
-        ("disturbances", "controller_wind"),
         ("controller", "contact"),
         ("controller", "use_jets"),
     ]:

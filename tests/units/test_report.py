@@ -478,7 +478,7 @@ def test_what_is_not_flown_here_or_outdated_stays_as_it_was_kept(tmp_path):
 def test_the_index_needs_a_checkout(monkeypatch, capsys):
     monkeypatch.setattr(places, "IS_CHECKOUT", False)
     assert main(["report", "--index"]) == 2
-    assert capsys.readouterr().err == "error: --index reads docs/ of a checkout of the repository, and this is none\n"
+    assert capsys.readouterr().err.startswith("error: this needs a checkout of the repository, ")
 
 
 def test_an_engine_rests_where_its_thrust_does_not_accelerate(measured):

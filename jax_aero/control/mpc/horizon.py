@@ -140,7 +140,9 @@ class Horizon(NamedTuple):
         return jnp.where(derivative(ends[1]) <= 0.0, 1.0, lax.fori_loop(0, BISECTIONS, halve, ends)[1])
 
 
-def add_blocks(h: Array, of_jets: Array, of_joints: Array) -> Array:
+def add_blocks(
+    h: Float[Array, "u u"], of_jets: Float[Array, "a b j"], of_joints: Float[Array, "v v"]
+) -> Float[Array, "u u"]:
     """Add what depends on the own inputs of each jet (a, b, j), and on those of joints (a f, b g), to H (u, u)."""
     inputs, _, jets = of_jets.shape
     eye = jnp.eye(jets, dtype=h.dtype)
