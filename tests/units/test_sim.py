@@ -249,7 +249,7 @@ def test_what_others_were_computed_from_does_not_change():
     ("name", "value", "words"),
     [
         ("n_ticks", 10.5, r"`n_ticks` is 10\.5; expected values of type int"),
-        ("sensors", None, r"`sensors` is NoneType; expected the name of a number or an array"),
+        ("measuring", None, r"`measuring` is \w+; expected the name of a number or an array"),
         ("wind", 1.0, r"`wind` is \w+; expected the name of a number or an array"),
         ("wind.velocity", "fast", r"`wind\.velocity` is 'fast'; expected a number or an array"),
         ("wind.velocity", None, r"`wind\.velocity` is None; expected a number or an array"),

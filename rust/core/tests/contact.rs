@@ -501,7 +501,7 @@ fn the_law_of_a_lost_engine_is_that_of_the_air() {
             let engines = engines.as_mut().unwrap();
             engines.deviation_max = 3.0;
             let descent = engines.descent.as_mut().unwrap();
-            (descent.range_fraction_min, descent.momentum.c0) = (1e6, factor * descent.momentum.c0);
+            (descent.range_fraction_min, descent.momentum.c0) = (1.0, factor * descent.momentum.c0);
         })
     });
     let [(mut low, mut state), (mut high, _)] = controllers;
