@@ -23,6 +23,7 @@ from jax_aero.body.mirror import mirror_name
 from jax_aero.body.robot import load_robot
 from jax_aero.cfd import case, compare, design, flow, foam, geometry, goals, models, settings, simulate, verify
 from jax_aero.cfd import compute as command
+from jax_aero.commands import cfd as cfd_command
 from jax_aero.commands.figures import main as figures
 from jax_aero.data import import_cfd
 from jax_aero.data.ironcub import JOINTS, LINKS
@@ -660,7 +661,7 @@ def test_a_program_runs_on_one_or_several_processors_and_says_how_it_ended(tmp_p
 
 def test_without_openfoam_the_command_names_what_installs_it(monkeypatch, capsys):
     monkeypatch.setenv("PATH", "/nowhere")
-    assert command.main(["anchors"]) == REFUSED
+    assert cfd_command.main(["anchors"]) == REFUSED
     assert "apt-get install openfoam" in capsys.readouterr().err
 
 
