@@ -256,7 +256,7 @@ $(VENV)/.first: requirements.hashed | $(BIN)/python
 $(MODULE): $(VENV)/.first pyproject.toml $(RUST_SOURCES)
 	@echo "set-up 2 of 2: compile the Rust module (two minutes on two cores)"
 	PIP_QUIET=1 PIP_NO_INDEX=1 VIRTUAL_ENV="$(abspath $(VENV))" env -u CONDA_PREFIX \
-		$(BIN)/maturin develop --release --locked --quiet --extras commands
+		$(BIN)/maturin develop --release --locked --quiet
 	@touch $@
 
 $(TESTING): requirements.hashed | $(MODULE)
