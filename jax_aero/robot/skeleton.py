@@ -225,14 +225,14 @@ def _joint_entry(joint: Joint) -> str:
 
 
 def guesses(joint: Joint) -> dict[str, Any]:
-    """Return values of what the URDF does not say of a joint, by key of the TOML file."""
+    """Return values of what the URDF does not say of a joint, by key of the TOML file. Negative ones are refused."""
     unit, half, fast = ("", 1.0, 1.0) if joint.is_prismatic else ("_deg", 180.0, 180.0)
     found: dict[str, Any] = {}
     if joint.limits is None:
         found[f"limits{unit}"] = [-half, half]
-    if not 0.0 < joint.effort < PLACEHOLDER:
+    if joint.effort == 0.0 or joint.effort >= PLACEHOLDER:
         found["torque_max"] = 100.0
-    if not 0.0 < joint.velocity < PLACEHOLDER:
+    if joint.velocity == 0.0 or joint.velocity >= PLACEHOLDER:
         found[f"velocity_max{unit}"] = fast
     return found
 

@@ -513,12 +513,7 @@ def test_a_link_is_as_large_as_its_geometry(shape, size, tmp_path):
             '<joint name="t" type="fixed"><parent link="torso"/><child link="torso"/></joint></robot>',
             "child of more than one joint",
         ),
-        pytest.param(
-            'effort="40"',
-            'effort="-40"',
-            "URDF effort limit of joint `.*` is -40",
-            marks=pytest.mark.xfail(reason="an import takes a negative limit of effort: not examined"),
-        ),
+        ('effort="40"', 'effort="-40"', "URDF effort limit of joint `.*` is -40"),
     ],
 )
 def test_a_spoilt_urdf_is_refused_by_name_and_leaves_no_file(tmp_path, written, spoilt, words):
