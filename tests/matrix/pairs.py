@@ -22,7 +22,9 @@ import pytest
 from experiments.tools import schema
 from jax_aero import cli, rust
 from jax_aero.base import places, tables
+from jax_aero.base.typed import scenario_config
 from jax_aero.figures.catalogue import FIGURES
+from jax_aero.refusals import refused
 from jax_aero.sweep import spec
 from jax_aero.sweep.design import Design
 from jax_aero.verify import library
@@ -432,6 +434,22 @@ def others() -> list[Pair]:
     ]
 
 
+def refused_keys(pair: Pair) -> list[str]:
+    """Return the keys by which a pair is to be refused: those of `jax_aero.refusals`, and what the C library lacks."""
+    if pair.action in {"fly_jax", "verify"}:
+        config = scenario_config(rust.load_config(pair.name))
+        return [refusal.key for refusal in refused(config, of_law=pair.action == "verify")]
+    if pair.action == "embed" and (reason := library.why_not(rust.load_config(pair.name))):
+        return [reason]
+    return []
+
+
 def check(shop: Shop, pair: Pair) -> None:
-    """Do it."""
-    ACTIONS[pair.kind][pair.action](shop, pair.name)
+    """Do it; a pair is refused exactly if it is listed, by a key that is responsible."""
+    keys, said = refused_keys(pair), ""
+    try:
+        ACTIONS[pair.kind][pair.action](shop, pair.name)
+    except Refused as refusal:
+        said = str(refusal)
+    assert bool(said) == bool(keys), said or f"{pair} works, though {keys} are listed"
+    assert not said or any(key in said for key in keys), said
