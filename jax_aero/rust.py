@@ -590,7 +590,7 @@ class Controller:
         Raises
         ------
         ValueError
-            If numbers are not finite or of the wrong size, and before the first tick.
+            If numbers are of the wrong size, or beyond what drives and engines can follow, and before the first tick.
         """
         self._core.replace_command(_array(thrust_rate), _array(joint_torque))
 

@@ -88,8 +88,8 @@ typedef enum FlightStatus {
   // Internal error of the library. Thrust rates and joint velocities are zero; the torques in the command are
   // unchanged.
   FLIGHT_PANICKED = -3,
-  // A replaced command contains a number that is not finite, or one for a simulated robot a number that is not or
-  // exceeds `FLIGHT_COMMAND_MAX`. Nothing changes.
+  // A replaced command has a number beyond what drives and engines can follow, or one for a simulated robot a number
+  // that is not finite or exceeds `FLIGHT_COMMAND_MAX`. Nothing changes.
   FLIGHT_BAD_COMMAND = -4,
   // The motion of the simulated robot has no meaning any more: its numbers are not finite, or beyond any robot's.
   FLIGHT_DIVERGED = -5,

@@ -295,6 +295,17 @@ fn the_first_measurements_are_outvoted_by_more_that_agree() {
     assert_eq!(judged(&scattered), (vec![yes, no, no, no, no, no, yes], vec![]));
 }
 
+/// However long a flight is, a prediction that all measurements contradict is outvoted after 3 s.
+#[test]
+fn no_prediction_outlasts_three_seconds_of_measurements() {
+    for before in [400, 1000] {
+        let errors: Vec<f64> = (0..before + 303).map(|tick| if tick < before { 0.0 } else { 9.0 }).collect();
+        let (used, again) = judged(&errors);
+        assert_eq!(again, [before + 300]);
+        assert!((0..errors.len()).all(|tick| used[tick] != (before..before + 300).contains(&tick)));
+    }
+}
+
 /// A fifth of the jump of 0.3 m is too much between the first two, and accepted later.
 #[test]
 fn the_second_measurement_has_to_confirm_the_first() {

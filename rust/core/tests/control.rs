@@ -409,6 +409,12 @@ fn predictions_follow_a_replaced_command() {
             assert_eq!(controller.replace_command(state, wrong, &torque), Err(BadCommand));
             assert_eq!(*state, before);
         }
+        // Torques in N mm, and rates that no engine follows.
+        let (thousandths, fast) = (torque.iter().map(|torque| 1000.0 * torque).collect::<Vec<_>>(), [1e5; 4]);
+        for (rate, torque) in [(&rate[..], &thousandths[..]), (&fast, &torque)] {
+            assert_eq!(controller.replace_command(state, rate, torque), Err(BadCommand));
+            assert_eq!(*state, before);
+        }
         controller.replace_command(state, &rate, &torque).unwrap();
         world.plant.advance(&torque, &rate, &wind(), TIME_STEP);
         world.tick += 1;
@@ -583,39 +589,23 @@ fn a_replaced_command_continues_from_a_restored_state() {
     assert_eq!(next(&mut flight), next(&mut another));
 }
 
-/// A state that was recorded, restored after other ticks and in another controller: every number of the ticks that follow
-/// is the same.
+/// Where the flight begins again its plan does too, between two plans as well.
 #[test]
-fn a_restored_state_continues_to_the_same_bits() {
-    let mut estimating = experiment("test2_observer");
-    let late = FilterConfig { delay: 0.02, time_constant: 0.05 };
-    let estimator = EstimatorConfig { base_position: late, ..EstimatorConfig::default() };
-    estimating.controller.law.estimator = Some(estimator);
-    estimating.controller.law.wind_observer = true;
-    let mut planning = experiment("test2_mpc");
-    planning.controller.law.jet_dynamics = JetDynamics::Throttled;
-    let missions = ["test1", "test2", "closed_circuit", "test4"].map(|name| (name, experiment(name)));
-    let others = [("estimators", estimating), ("a plan, in ticks between plans", planning)];
-    for (name, config) in missions.into_iter().chain(others) {
-        let mut flight = Loop::new(&config);
-        flight.run(3.0, |_| wind());
-        flight.advance(&wind());
-        let (plant, tick) = (flight.plant.clone(), flight.tick);
-        let state = flight.controller.state().clone();
-        flight.run(2.0, |_| wind());
-        let expected = numbers(flight.controller.command());
-        let after = flight.controller.state().clone();
-
-        flight.run(1.0, |_| wind());
-        let mut another = Loop::new(&config);
-        for flight in [&mut flight, &mut another] {
-            (flight.plant, flight.tick) = (plant.clone(), tick);
-            flight.controller.state = Some(state.clone());
-            flight.run(2.0, |_| wind());
-            assert_equal(name, &numbers(flight.controller.command()), &expected, 0.0);
-            assert_eq!(flight.controller.state(), &after, "{name}");
-        }
-    }
+fn a_flight_that_begins_again_plans_anew() {
+    let config = experiment("test2_mpc");
+    let first = Measurement::start(&config);
+    let mut controller = controller(&config);
+    let wrong = [5.0, 9.0, 0.0, 0.0, 0.0];
+    let planned = wrong.map(|error| {
+        let tick = controller.state.as_ref().map_or(0.0, |state| state.time() / TIME_STEP + 1.0);
+        let mut sample = Measurement { time: TIME_STEP * tick, ..first.clone() };
+        sample.state.base.position.x += error + 1e-6 * tick;
+        sample.state.joint_position.add_scalar_mut(1e-4 * tick);
+        let modes = sample.tick(&mut controller).modes;
+        let is_new = controller.prediction().unwrap().0.rate_t == controller.terms().momentum.a_t;
+        (modes.contains(Modes::BEGUN_AGAIN), is_new)
+    });
+    assert_eq!(planned, [(false, true), (false, false), (false, true), (true, true), (false, false)]);
 }
 
 /// What is not configured is not there: a state has no part of it, and is none of a controller with it, nor the other way

@@ -7,13 +7,13 @@
 use crate::common::{Loop, Running, assert_within, at, experiment, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, ForceFactorsConfig};
 use flight_core::control::Present;
-use flight_core::control::law::plan::Plan;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::mpc::PredictiveLaw;
 use flight_core::control::mpc::clearance::Clearance;
 use flight_core::control::mpc::config::Air;
 use flight_core::control::mpc::horizon::{Horizon, Target};
 use flight_core::control::mpc::model::Linearised;
+use flight_core::control::mpc::plan::Plan;
 use flight_core::control::{Command, Given, Modes, Preview};
 use flight_core::jets::JetDynamics;
 use flight_core::qp::{PrimalActiveSet, QpSolver, QpStatus};

@@ -5,16 +5,19 @@
 use crate::common::{Loop, Running, assert_says, at, experiment, random_state, rng};
 use flight_core::Measurement;
 use flight_core::aero::LinkConventions;
-use flight_core::control::Present;
 use flight_core::control::config::ControllerConfig;
 use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::mpc::clearance::Clearance;
 use flight_core::control::mpc::config::Air;
+use flight_core::control::mpc::nonlinear::WORK;
 use flight_core::control::mpc::nonlinear::knot::{Expansion, Knot, State, World};
 use flight_core::control::mpc::nonlinear::riccati::Riccati;
+use flight_core::control::{Modes, Present};
 use flight_core::jets::JetDynamics;
+use flight_core::qp::{KKT_TOLERANCE, QpStatus};
 use flight_core::spatial::exp_so3;
 use flight_io::{load_aero, load_robot};
+use flight_sim::disturbances::{FailureKind, JetFailure};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::RngExt;
 
@@ -329,7 +332,9 @@ fn the_backward_pass_finds_the_least_cost() {
     let free = vec![(-1e6, 1e6); m];
     let known = vec![0.0; knots * m];
     let mut riccati = Riccati::new(n, m);
-    assert!(riccati.solve(&expansions, &known, &free, 0.0, (&mut steps, &mut gains)));
+    let answer = riccati.solve(&expansions, &known, &free, 0.0, (&mut steps, &mut gains));
+    assert!(answer.status == QpStatus::Solved && answer.kkt <= KKT_TOLERANCE, "{answer:?}");
+    assert_eq!((answer.iterations, answer.active), (6, 0));
     let (least, _) = cost_of(&expansions, (n, m), (&steps, &gains), &known);
     for _ in 0..50 {
         let away: Vec<f64> = known.iter().map(|_| rng.random_range(-0.1..0.1)).collect();
@@ -338,11 +343,71 @@ fn the_backward_pass_finds_the_least_cost() {
     // One knot: a convex QP within a box.
     let (one, bounds) = (&expansions[..2], vec![(-0.05, 0.05); m]);
     let (steps, gains) = (&mut steps[..m], &mut gains[..m * n]);
-    assert!(riccati.solve(one, &known[..m], &bounds, 0.0, (&mut *steps, &mut *gains)));
+    let answer = riccati.solve(one, &known[..m], &bounds, 0.0, (&mut *steps, &mut *gains));
+    assert!(answer.status == QpStatus::Solved && answer.kkt <= KKT_TOLERANCE, "{answer:?}");
     let (least, inputs) = cost_of(one, (n, m), (steps, gains), &known[..m]);
     assert!(inputs.iter().any(|input| input.abs() >= 0.05), "{inputs:?}");
     for _ in 0..200 {
         let away: Vec<f64> = inputs.iter().map(|input| rng.random_range(-0.05..=0.05) - input).collect();
         assert!(cost_of(one, (n, m), (steps, gains), &away).0 >= least - 1e-12);
     }
+    // From another state the inputs differ by the feedback; one that is held has none.
+    let bounds = [(-1e-3, 1e-3), free[0], free[0]];
+    riccati.solve(one, &known[..m], &bounds, 0.0, (&mut *steps, &mut *gains));
+    let mut moved = expansions[..2].to_vec();
+    let by = DVector::from_fn(n, |row, _| 1e-4 * (1.0 + row as f64));
+    let w = n + m;
+    let [of_knot, of_end] = [0, 1].map(|place: usize| {
+        let state = DMatrix::from_column_slice(n, w, &moved[0].dynamics).columns(0, n) * &by;
+        let hessian = DMatrix::from_column_slice(w, w, &moved[place].hessian);
+        hessian.columns(0, n) * if place == 0 { by.clone() } else { state }
+    });
+    for (expansion, more) in moved.iter_mut().zip([of_knot, of_end]) {
+        expansion.gradient.iter_mut().zip(&more).for_each(|(to, more)| *to += more);
+    }
+    let (mut other, mut unused) = (vec![0.0; m], vec![0.0; m * n]);
+    riccati.solve(&moved, &known[..m], &bounds, 0.0, (&mut other, &mut unused));
+    let fed_back = DMatrix::from_column_slice(m, n, gains) * &by;
+    assert!(fed_back.iter().any(|by| *by == 0.0) && fed_back.amax() > 1e-5, "{fed_back}");
+    for (input, by) in fed_back.iter().enumerate() {
+        assert!((other[input] - steps[input] - by).abs() < 1e-12, "{input}: {other:?} {steps:?} {by}");
+    }
+}
+
+/// A cost without a least value has no certificate.
+#[test]
+fn a_cost_that_is_not_convex_is_refused() {
+    let (n, m) = (5, 3);
+    let mut expansions = random_problem(n, m, 2);
+    expansions[1].hessian[n * (n + m + 1)] = -100.0;
+    let mut riccati = Riccati::new(n, m);
+    let (mut steps, mut gains) = ([0.0; 6], [0.0; 30]);
+    let answer = riccati.solve(&expansions, &[0.0; 6], &[(-1.0, 1.0); 3], 0.0, (&mut steps, &mut gains));
+    assert_eq!(answer.status, QpStatus::NotPositiveDefinite);
+}
+
+/// After an engine's loss no tick expands more knots than a whole plan has, trials that are refused with it; each answer is
+/// certified, or says that it is an old one. The first plan holds the joints, whatever was planned before.
+#[test]
+fn the_work_of_a_tick_is_that_of_a_whole_plan() {
+    let mut config = experiment("robot");
+    config.disturbances.jets.failure =
+        Some(JetFailure { jet: "l_arm_jet".into(), time: 0.3, kind: FailureKind::Off, decay: 0.0 });
+    let mut flight = Loop::new(&config);
+    let (mut most, mut kept) = (0, 0);
+    for tick in 0..160 {
+        flight.observe(&Vector3::zeros());
+        let (found, command) = (flight.controller.expanded_knots(), flight.controller.command());
+        if command.modes.contains(Modes::ENGINE_LIMITED) {
+            assert!(found <= WORK, "tick {tick}: {found}");
+            let answer = command.rates_qp;
+            assert!(answer.status == QpStatus::Solved && answer.kkt <= KKT_TOLERANCE, "{tick}: {answer:?}");
+            assert!(answer.iterations > 0);
+            kept += usize::from(command.modes.contains(Modes::PLAN_KEPT));
+        }
+        most = most.max(found);
+        flight.advance(&Vector3::zeros());
+    }
+    println!("{most} knots at most, {kept} ticks with an old plan");
+    assert_eq!(most, WORK);
 }

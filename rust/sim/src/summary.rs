@@ -119,8 +119,12 @@ figures! {
         },
     );
     max_kkt: figure(
-        "max KKT residual", "1", "greatest finite KKT residual of an answer",
-        |of| greatest_of(of.data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
+        "max KKT residual", "1", "greatest KKT residual of an answer; NaN if one that counts as solved has none",
+        |of| {
+            let answers = of.data("qp_kkt").iter().zip(of.data("qp_status"));
+            let counts = |(kkt, status): &(&f64, &f64)| **status <= 0.0 || kkt.is_finite();
+            greatest_of(answers.filter(counts).map(|(kkt, _)| *kkt))
+        },
     );
     max_qp_iterations: figure(
         "most QP iterations", "1", "most iterations of a QP in one tick", |of| greatest(of.of_qps("qp_iterations")),

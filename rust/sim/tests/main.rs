@@ -18,4 +18,5 @@ mod pushes;
 mod rates;
 mod recorded;
 mod replay;
+mod restored;
 mod sensors;

@@ -94,6 +94,16 @@ fn a_state_of_another_tick_is_refused() {
     let seen = config.simulator.initial.state();
     controller.tick(&mut state, &at(0.01, &seen, &config.simulator.initial.thrust));
     assert_eq!(controller.tick_torques(&mut other, &measured).modes, Modes::STATE_IGNORED);
+    // Both ticks hold the same torques; the model is that of the last one.
+    let (_, before) = ticked(&config);
+    let [held, last] = [(); 2].map(|()| {
+        let mut state = before.clone();
+        controller.tick(&mut state, &at(0.01, &seen, &[]));
+        state
+    });
+    assert_eq!(controller.tick_torques(&mut held.clone(), &measured).modes, Modes::STATE_IGNORED);
+    let modes = controller.tick_torques(&mut last.clone(), &measured).modes;
+    assert!(!modes.contains(Modes::STATE_IGNORED));
 }
 
 /// A measurement of other sizes measures nothing: the torques stay for its tick, and the next one is as usual.

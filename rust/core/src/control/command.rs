@@ -6,10 +6,10 @@ use crate::jets::JetModel;
 use crate::qp::{QpAnswer, QpStatus};
 use nalgebra::DVector;
 
-/// A command with a number that is not finite, or of the wrong size.
+/// A command of the wrong size, or with a number that no drive and no engine can follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "this command cannot act; expected a finite number for every thrust rate and joint torque of this robot"
+    "this command cannot act; expected for every joint of this robot a torque of at most twice its greatest, and for every jet a thrust rate of at most 100 times its greatest thrust a second"
 )]
 pub struct BadCommand;
 

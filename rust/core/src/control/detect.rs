@@ -36,6 +36,9 @@ macro_rules! detectors {
                 listed(&[&OF_TICK, $(<$detector as Detector>::MODES),*]);
         }
 
+        /// Sizes of the states of those that are configured.
+        pub(crate) type DetectorSizes = [Option<[usize; 3]>; [$(stringify!($name)),*].len()];
+
         /// The configured detectors.
         #[derive(Debug)]
         pub(crate) struct Detectors {
@@ -61,11 +64,10 @@ macro_rules! detectors {
                 DetectorStates { $($name: self.$name.as_ref().map(|of| of.start(estimate)),)* }
             }
 
-            /// Whether states have these parts and sizes.
+            /// Sizes of their states.
             #[must_use]
-            pub(crate) fn fit(&self, states: &DetectorStates) -> bool {
-                $(self.$name.is_some() == states.$name.is_some()
-                    && self.$name.as_ref().zip(states.$name.as_ref()).is_none_or(|(of, state)| of.fits(state)))&&*
+            pub(crate) fn sizes(&self) -> DetectorSizes {
+                [$(self.$name.as_ref().map(Detector::sizes)),*]
             }
 
             /// Takes in what was measured, before an estimator replaces it.

@@ -7,7 +7,6 @@ pub mod minimum_jerk;
 pub mod mission;
 pub mod momentum;
 pub mod momentum_qp;
-pub mod plan;
 pub mod recorded;
 pub mod residual;
 pub mod setpoint;

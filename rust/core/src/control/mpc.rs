@@ -19,12 +19,12 @@ pub mod config;
 pub mod horizon;
 pub mod model;
 pub mod nonlinear;
+pub mod plan;
 pub(crate) mod prediction;
 
 use super::law::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::Command;
-use crate::control::law::plan::Plan;
 use crate::control::modes::Modes;
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
@@ -38,8 +38,9 @@ use config::{Air, MpcConfig, POSTURE_GAIN};
 use horizon::{Horizon, Target};
 use model::Linearised;
 use nalgebra::Vector6;
+use nonlinear::Nonlinear;
 use nonlinear::knot::World;
-use nonlinear::{Nonlinear, NonlinearPlan};
+use plan::Plan;
 
 /// Limit of the factorisations of one plan, over all its QPs: each has the values beyond their limits that the last answer
 /// brought there, and takes at least one. Where they do not suffice, the last plan is followed. Of 32 flights in four configurations
@@ -161,10 +162,14 @@ impl PredictiveLaw {
         Plan { nonlinear, ..Plan::none(self.unknowns(), self.thrust_rate_max.len()) }
     }
 
-    /// Whether a plan has the sizes of this law.
-    pub(super) fn fits(&self, plan: &Plan) -> bool {
-        let sizes = plan.nonlinear.as_ref().map(NonlinearPlan::len);
-        plan.len() == self.unknowns() && sizes == self.nonlinear.as_ref().map(|of| of.no_plan.len())
+    /// Unknowns of its plan, and inputs of the nonlinear one.
+    pub(super) fn sizes(&self) -> [usize; 2] {
+        [self.unknowns(), self.nonlinear.as_ref().map_or(0, |of| of.inputs.len())]
+    }
+
+    /// Knots that the nonlinear plan of the last tick expanded.
+    pub(super) fn expanded(&self) -> usize {
+        self.nonlinear.as_ref().map_or(0, |of| of.expanded)
     }
 
     /// Commands the inputs of the nonlinear plan of a descent, which is improved in every tick; `false` without one that
@@ -185,9 +190,7 @@ impl PredictiveLaw {
         let now = Present { estimate, terms };
         let world =
             World { robot, conventions: *conventions, air: *air, now, posture, ground: *ground, speed };
-        if !planner.improve(aero, world, plan) {
-            return false;
-        }
+        let Some((answer, is_new)) = planner.improve(aero, world, plan) else { return false };
         let unknowns = &terms.momentum_qp.unknowns;
         let (jets, joints) = planner.inputs.split_at(unknowns.thrust_rate.len());
         command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
@@ -198,7 +201,8 @@ impl PredictiveLaw {
         }
         let velocity = |place: usize| joints[place];
         command_joints(&self.place, state, terms, velocity, command);
-        command.rates_qp = QpAnswer::from_status(QpStatus::Solved);
+        command.rates_qp = answer;
+        command.modes.insert_if(!is_new, Modes::PLAN_KEPT);
         true
     }
 

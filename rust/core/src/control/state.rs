@@ -1,25 +1,44 @@
 //! State of a controller that is kept from tick to tick.
 
 use super::acting::Acting;
-use super::detect::DetectorStates;
+use super::detect::{DetectorSizes, DetectorStates};
 use super::estimate::disturbance_observer::ObserverState;
 use super::estimate::estimator::EstimatorState;
 use super::estimate::joint_tracker::InnerLoop;
 use super::estimate::wind_observer::WindState;
 use super::law::contact::ContactState;
-use super::law::plan::Plan;
 use super::law::setpoint::SetpointState;
 use super::measure::channels::ChannelsState;
 use super::measure::measurement::Estimate;
+use super::mpc::plan::Plan;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
 use nalgebra::{DVector, Matrix3, Vector6};
+
+/// What a state consists of: sizes, and stages with a part in it. Controllers of the same sizes can continue each other's
+/// states.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Sizes {
+    pub(super) joints: usize,
+    pub(super) jets: usize,
+    pub(super) foot_forces: usize,
+    /// Unknowns of the momentum QP.
+    pub(super) unknowns: usize,
+    /// Unknowns of the linear plan, and inputs of the nonlinear one.
+    pub(super) plan: Option<[usize; 2]>,
+    /// Measurements and inputs that wait.
+    pub(super) estimator: Option<[usize; 2]>,
+    /// Whether the disturbance and the wind are observed.
+    pub(super) observes: [bool; 2],
+    pub(super) detectors: DetectorSizes,
+}
 
 /// State of a controller, created by [`super::Controller::start`] and changed by every tick.
 ///
 /// A tick reads nothing else that changes: a clone that is restored later continues with the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
+    pub(super) sizes: Sizes,
     /// The robot as the last tick knew it.
     pub(super) estimate: Estimate,
     /// Predictions and acceptance of the measurement's channels.

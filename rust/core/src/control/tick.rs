@@ -13,23 +13,24 @@ use super::command::{BadCommand, Command};
 use super::detect::Detectors;
 use super::estimate::disturbance_observer::{DisturbanceObserverConfig, ObserverState};
 use super::estimate::estimator::Estimator;
-use super::estimate::joint_tracker::{InnerLoop, JointMeasurement, JointTracker};
+use super::estimate::joint_tracker::{InnerLoop, JointMeasurement, JointTracker, Origin};
 use super::estimate::wind_observer::WindObserver;
 use super::law::contact::ContactState;
 use super::law::momentum::AeroFeedback;
 use super::law::momentum_qp::Task;
-use super::law::plan::Plan;
 use super::law::residual::{Policy, Residual};
 use super::law::setpoint::{Setpoint, SetpointGenerator};
 use super::limits::Limits;
 use super::measure::channels::Channels;
+use super::measure::greatest;
 use super::measure::measurement::{BadStart, Estimate, Measurement};
 use super::modes::Modes;
 use super::mpc::PredictiveLaw;
 use super::mpc::horizon::Horizon;
 use super::mpc::model::Linearised;
+use super::mpc::plan::Plan;
 use super::preview::Preview;
-use super::state::ControllerState;
+use super::state::{ControllerState, Sizes};
 use super::terms::Terms;
 use crate::aero::{AeroModel, LinkConventions};
 use crate::dynamics::Dynamics;
@@ -68,8 +69,8 @@ pub struct Controller {
     joints: JointTracker,
     /// Ticks of the torques in a tick of the law.
     torque_steps: u32,
-    /// Number in its flight of the last tick of the law.
-    last_tick: u64,
+    /// The last tick of the law.
+    origin: Origin,
     terms: Terms,
     command: Command,
     /// Workspace: a change of the predicted acceleration.
@@ -100,6 +101,7 @@ impl Controller {
         if let Some(mode) = unusual_mode() {
             return Err(BadStart::FloatingPoint { mode });
         }
+        let sizes = self.sizes();
         let Self { model, law, terms, channels, .. } = self;
         let (jets, feet) = (self.command.thrust_rate.len(), terms.contact.soles.len());
         let estimate = Estimate::new(model, jets, self.time_step);
@@ -109,6 +111,7 @@ impl Controller {
         let (com, inertia_0_b) = reference.ok_or(BadStart::SingularInertia)?;
         let joints = model.joints.len();
         Ok(ControllerState {
+            sizes,
             estimator: self.estimator.as_ref().map(|of| of.start(&estimate.robot)),
             detectors: self.detectors.start(&estimate),
             estimate,
@@ -180,8 +183,9 @@ impl Controller {
         command.set_throttle(&self.jets, &state.estimate, self.time_step);
         self.predict(state);
         let (acceleration, torque) = (&state.acting.acceleration, self.command.joint_torque.as_slice());
-        state.inner_loop.begin(&state.estimate.robot.state, torque, acceleration.rows_range(6..));
-        self.last_tick = state.inner_loop.tick_of_law;
+        self.origin.advance();
+        let robot = &state.estimate.robot.state;
+        state.inner_loop.begin(self.origin, robot, torque, acceleration.rows_range(6..));
         &self.command
     }
 
@@ -193,9 +197,7 @@ impl Controller {
     /// sizes, keeps the torques and has another mode; the next one is as usual. With the state of another controller, or one with which this
     /// controller did not tick last, the command holds ([`Modes::STATE_IGNORED`]).
     pub fn tick_torques(&mut self, state: &mut ControllerState, measured: &JointMeasurement) -> &Command {
-        let is_last = state.inner_loop.tick_of_law == self.last_tick
-            && state.inner_loop.torque == self.command.joint_torque;
-        if !self.fits(state) || !is_last {
+        if !state.inner_loop.origin.is(self.origin) {
             return self.refuse_state(state);
         }
         let Self { torques, joints, terms, command, torque_steps, .. } = self;
@@ -232,9 +234,11 @@ impl Controller {
     /// # Errors
     /// [`BadCommand`].
     pub fn check_command(&self, thrust_rate: &[f64], joint_torque: &[f64]) -> Result<(), BadCommand> {
-        let is_finite = thrust_rate.iter().chain(joint_torque).all(|number| number.is_finite());
         let is_sized = thrust_rate.len() == self.n_jets() && joint_torque.len() == self.model.joints.len();
-        if is_finite && is_sized { Ok(()) } else { Err(BadCommand) }
+        let of_joints = self.model.joints.iter().map(|joint| greatest::TORQUE * joint.torque_max);
+        let can_act = joint_torque.iter().zip(of_joints).all(|(torque, most)| torque.abs() <= most);
+        let is_accepted = is_sized && can_act && self.channels.accept_rates(thrust_rate);
+        if is_accepted { Ok(()) } else { Err(BadCommand) }
     }
 
     /// Reports that other thrust rates and torques act until the next tick in place of the last command, such as those
@@ -253,6 +257,9 @@ impl Controller {
         self.check_command(thrust_rate, joint_torque)?;
         if !self.fits(state) {
             return Err(BadCommand);
+        }
+        if !state.inner_loop.origin.is(self.origin) {
+            self.origin.advance(); // the model is now that of this state
         }
         self.replace_acting(state, thrust_rate, joint_torque);
         self.command.thrust_rate.copy_from_slice(thrust_rate);
@@ -274,18 +281,23 @@ impl Controller {
         self.policy = Some(policy);
     }
 
-    /// Whether a state has the sizes of this controller.
+    /// What its states consist of.
+    fn sizes(&self) -> Sizes {
+        Sizes {
+            joints: self.model.joints.len(),
+            jets: self.n_jets(),
+            foot_forces: self.terms.contact.force_of_torques.len(),
+            unknowns: self.terms.momentum_qp.problem.len(),
+            plan: self.law.predictive().map(PredictiveLaw::sizes),
+            estimator: self.estimator.as_ref().map(Estimator::sizes),
+            observes: [self.observer.is_some(), self.wind.is_some()],
+            detectors: self.detectors.sizes(),
+        }
+    }
+
+    /// Whether a state is one of a controller with the same sizes.
     fn fits(&self, state: &ControllerState) -> bool {
-        state.posture.len() == self.model.joints.len()
-            && self.law.predictive().map_or(state.plan.is_empty(), |law| law.fits(&state.plan))
-            && state.momentum_start.len() == self.terms.momentum_qp.problem.len()
-            && state.contact.force.len() == self.terms.contact.force_of_torques.len()
-            && self.channels.fit_state(&state.channels)
-            && self.wind.is_some() == state.wind.is_some()
-            && self.observer.is_some() == state.disturbance.is_some()
-            && self.estimator.is_some() == state.estimator.is_some()
-            && self.estimator.as_ref().zip(state.estimator.as_ref()).is_none_or(|(of, state)| of.fits(state))
-            && self.detectors.fit(&state.detectors)
+        state.sizes == self.sizes()
     }
 
     /// The generator of its set-points.
@@ -299,6 +311,13 @@ impl Controller {
     #[must_use]
     pub fn prediction(&self) -> Option<(&Linearised, &Horizon)> {
         self.law.predictive().map(PredictiveLaw::prediction)
+    }
+
+    /// Knots that the nonlinear plan of the last tick expanded. For tests.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn expanded_knots(&self) -> usize {
+        self.law.predictive().map_or(0, PredictiveLaw::expanded)
     }
 
     /// The controller's model of the robot; without jets if it does not use them.
@@ -358,5 +377,7 @@ fn begin_again(
         state.inertia_0_b = inertia_0_b;
         state.velocity_error_integral.fill(0.0);
         state.torque_is_known = false;
+        state.plan.discard();
+        state.is_descending = false;
     }
 }

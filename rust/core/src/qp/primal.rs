@@ -341,6 +341,22 @@ impl PrimalActiveSet {
         }
     }
 
+    /// `x_F = H_FF⁻¹ b_F` with the variables that the last answer leaves free, in the units of its problem; zero for the
+    /// others.
+    pub(crate) fn solve_free(&mut self, b: &mut [f64]) {
+        let (m, ld) = (self.free.len(), self.n + 1);
+        let free = &mut self.work[..m];
+        for (to, &j) in free.iter_mut().zip(&self.free) {
+            *to = b[j] * self.scaled.s[j];
+        }
+        linalg::solve_lower_in_place(&self.factor, m, ld, free);
+        linalg::solve_lower_transposed_in_place(&self.factor, m, ld, free);
+        b.fill(0.0);
+        for (x, &j) in free.iter().zip(&self.free) {
+            b[j] = x * self.scaled.s[j];
+        }
+    }
+
     /// Moves to the target; the clamp changes it by rounding only.
     fn take_target(&mut self) {
         let bounds = self.scaled.lower.iter().zip(&self.scaled.upper);

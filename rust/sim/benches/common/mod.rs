@@ -2,10 +2,10 @@
 #![allow(dead_code)] // each benchmark uses a part of it
 
 use flight_core::control::Present;
-use flight_core::control::law::plan::Plan;
 use flight_core::control::mpc::PredictiveLaw;
 use flight_core::control::mpc::horizon::Horizon;
 use flight_core::control::mpc::model::Linearised;
+use flight_core::control::mpc::plan::Plan;
 use flight_core::control::{ControllerState, Estimate, Terms};
 use flight_core::qp::{PrimalActiveSet, QpProblem, QpSolver};
 use flight_core::{BuildError, Controller, Measurement};

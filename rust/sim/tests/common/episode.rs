@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::counting::allocations;
-use crate::common::{at, configs, experiment, hover_of, random_state, random_vector, robot};
+use crate::common::{at, configs, every_controller, hover_of, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{ControllerState, Given, Measurement, Modes, Preview};
@@ -51,32 +51,12 @@ pub struct Episodes {
 }
 
 impl Episodes {
-    /// All flights that this crate can fly, three small robots, and the controller that looks for faults.
+    /// A flight of every controller, and small robots.
     pub fn new(seed: u64) -> Self {
-        let mut scenarios: Vec<ScenarioConfig> = [
-            "test1",
-            "test1_published",
-            "test1_observer",
-            "test2",
-            "test2_published",
-            "test2_observer",
-            "test2_without_lambda_a",
-            "test2_sensors",
-            "test2_mpc",
-            "test2_sensors_mpc",
-            "test4",
-            "second_order_jets",
-            "sensor_noise",
-            "min_time",
-            "closed_circuit",
-            "platform_hover",
-            "balancing_lateral",
-            "balancing_front",
-        ]
-        .map(experiment)
-        .to_vec();
+        let mut scenarios: Vec<_> = every_controller().into_iter().map(|(_, scenario)| scenario).collect();
         scenarios.extend(["sparrow", "slider"].map(hover));
-        let flights = scenarios.into_iter().map(|scenario| {
+        let flights = scenarios.into_iter().map(|mut scenario| {
+            scenario.simulator.ground = None; // the wrenches of the feet are made up
             let robot = load_robot(&scenario.robot).unwrap();
             (scenario, robot)
         });
@@ -233,8 +213,8 @@ pub struct Episode {
     absurd: f64,
     towards: f64,
     may_allocate: bool,
-    /// Whether its rates come from a plan instead of the momentum QP.
-    plans: bool,
+    /// Whether its rates come from a plan instead of the momentum QP, or have a policy's residual.
+    has_others: bool,
     /// Answer of the momentum QP, and torques of the tick before.
     answer: Vec<f64>,
     torque: Vec<f64>,
@@ -267,7 +247,7 @@ impl Episode {
             absurd,
             towards: if rng.random_bool(0.3) { 0.3 } else { 0.0 },
             may_allocate: scenario.controller.law.qp.solver == Solver::Clarabel,
-            plans: scenario.controller.law.mpc.is_some(),
+            has_others: scenario.controller.law.mpc.is_some() || scenario.controller.policy.is_some(),
             answer: vec![0.0; controller.terms().momentum_qp.unknowns.len()],
             torque: vec![0.0; robot.joints.len()],
             rng,
@@ -404,7 +384,9 @@ impl Episode {
         };
         let is_minimiser = |problem: &QpProblem, x: &[f64]| kkt_residual(problem, x, &[]) <= KKT_TOLERANCE;
         let momentum = says_so(&command.rates_qp)
-            && (self.plans || !unknowns.force_rate.is_empty() || is_minimiser(&qp.problem, &self.answer));
+            && (self.has_others
+                || !unknowns.force_rate.is_empty()
+                || is_minimiser(&qp.problem, &self.answer));
         let torque = says_so(&command.torque_qp)
             && (terms.torque_qp.problem.rows() > 0
                 || is_minimiser(&terms.torque_qp.problem, terms.unlimited_torque.as_slice()));

@@ -47,6 +47,23 @@ pub fn experiment(name: &str) -> ScenarioConfig {
     load_scenario(&configs("experiments").join(name).with_extension("toml")).unwrap()
 }
 
+/// A flight of every controller that `configs/` has: of those whose robot and controller are alike, the first by name.
+pub fn every_controller() -> Vec<(String, ScenarioConfig)> {
+    let files = std::fs::read_dir(configs("experiments")).unwrap().map(|file| file.unwrap().path());
+    let mut names: Vec<_> =
+        files.map(|file| file.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
+    names.sort();
+    let mut found: Vec<(String, ScenarioConfig)> = Vec::new();
+    for name in names {
+        let config = experiment(&name);
+        let is_alike = |of: &ScenarioConfig| of.robot == config.robot && of.controller == config.controller;
+        if !found.iter().any(|(_, of)| is_alike(of)) {
+            found.push((name, config));
+        }
+    }
+    found
+}
+
 /// The platform's flight for another robot, without its initial state.
 pub fn hover_of(robot: &RobotModel) -> ScenarioConfig {
     let mut scenario = experiment("platform_hover");

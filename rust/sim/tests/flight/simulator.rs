@@ -145,6 +145,7 @@ fn figures_of_a_made_up_log() {
     set(&mut log, "aero_force_control", 39 * 3, 3.0);
     set(&mut log, "qp_status", 4, 1.0);
     set(&mut log, "qp_status", 5, 2.0);
+    set(&mut log, "qp_kkt", 4, f64::NAN); // without an answer
     set(&mut log, "qp_kkt", 7, 1e-9);
     set(&mut log, "qp_iterations", 9, 6.0);
     let of = Summary::new(&log, times.len());
@@ -191,7 +192,7 @@ fn figures_of_an_early_end() {
 fn figures_do_not_hide_what_is_no_number() {
     let times: Vec<f64> = (0..20).map(|tick| 0.25 * f64::from(tick)).collect();
     let of_forces = ["com_position", "rotation_error", "thrust", "joint_torque", "aero_force_sim"];
-    for signal in of_forces.into_iter().chain(["qp_status", "qp_iterations", "degraded_modes"]) {
+    for signal in of_forces.into_iter().chain(["qp_status", "qp_kkt", "qp_iterations", "degraded_modes"]) {
         for tick in [0, 13, 19] {
             let mut log = made_up_log(&times);
             let width = log.series(signal).unwrap().width();
@@ -209,6 +210,7 @@ fn figures_do_not_hide_what_is_no_number() {
                 "joint_torque" => vec![of.max_torque],
                 "aero_force_sim" => vec![of.max_aero_force, of.max_aero_force_difference],
                 "qp_status" => vec![of.ticks_without_solution],
+                "qp_kkt" => vec![of.max_kkt],
                 "qp_iterations" => vec![of.max_qp_iterations],
                 _ => vec![of.degraded_time, of.nominal_until, of.all_modes, of.warning_time],
             };

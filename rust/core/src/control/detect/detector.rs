@@ -89,9 +89,9 @@ pub trait Detector: Sized {
     /// Its state at the start of a flight.
     fn start(&self, estimate: &Estimate) -> Self::State;
 
-    /// Whether a state has the sizes of this robot.
-    fn fits(&self, _state: &Self::State) -> bool {
-        true
+    /// Sizes of its state beyond those of the robot.
+    fn sizes(&self) -> [usize; 3] {
+        [0; 3]
     }
 
     /// Takes in what was measured, before an estimator replaces it.

@@ -164,10 +164,6 @@ impl Detector for Joints {
         JointsState::new(&estimate.robot.state.joint_position)
     }
 
-    fn fits(&self, state: &JointsState) -> bool {
-        [state.found.len(), state.position.len()] == [self.stops.len(); 2]
-    }
-
     fn measure(&self, state: &mut JointsState, measured: &Estimate) {
         let position = &measured.robot.state.joint_position;
         if measured.modes.contains(Modes::BEGUN_AGAIN) {

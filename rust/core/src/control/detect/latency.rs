@@ -276,10 +276,8 @@ impl Detector for LatencyMonitor {
         self.start_of(self.by_torque.len(), estimate.robot.thrust.len())
     }
 
-    fn fits(&self, state: &LatencyState) -> bool {
-        state.free.len() == self.lead.0 + 2
-            && state.positions[0].len().max(state.thrusts[0].len()) == self.response.len()
-            && state.banks[0].line.ncols() == self.banks[0].delays
+    fn sizes(&self) -> [usize; 3] {
+        [self.lead.0, self.response.len(), self.banks[0].delays]
     }
 
     fn measure(&self, state: &mut LatencyState, measured: &Estimate) {

@@ -339,15 +339,10 @@ impl Estimator {
         1 + self.waiting + reach(self.latency_max.max(self.latency.thrust) / self.time_step)
     }
 
-    /// Whether a state has the sizes of this estimator.
+    /// Numbers of measurements and of inputs that its states store.
     #[must_use]
-    pub fn fits(&self, state: &EstimatorState) -> bool {
-        let robot = &self.model.robot;
-        state.line.len() == 1 + self.waiting
-            && state.gaps.len() == state.line.len()
-            && state.orders.len() == self.orders()
-            && state.then.disturbance.len() == robot.joints.len()
-            && state.then.robot.thrust.len() == robot.jets.len()
+    pub fn sizes(&self) -> [usize; 2] {
+        [1 + self.waiting, self.orders()]
     }
 
     /// Returns the estimate at the present time from the measurement in [`EstimatorState::next_measurement`]. Does not allocate.

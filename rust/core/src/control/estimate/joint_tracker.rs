@@ -6,12 +6,13 @@
 //! Equation M152 of `docs/model`.
 
 use super::estimator::EstimatorConfig;
-use crate::control::measure::channels::{ChannelsConfig, Jumps};
-use crate::control::measure::greatest::MAGNITUDES;
+use crate::control::measure::channels::ChannelsConfig;
+use crate::control::measure::greatest::{Jumps, MAGNITUDES};
 use crate::control::modes::Modes;
 use crate::kinematics::RobotState;
 use crate::timing::share;
 use nalgebra::{DVector, DVectorView};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What a tick of the torques receives: the joints in the robot's order. Entries that are not finite are not measured.
 #[derive(Debug, Clone, Copy)]
@@ -37,8 +38,47 @@ pub struct InnerLoop {
     pub modes: Modes,
     /// Ticks of the torques since the last tick of the law.
     pub ticks: u32,
-    /// Number of that tick in the flight.
-    pub tick_of_law: u64,
+    /// Which tick that was.
+    pub origin: Origin,
+}
+
+/// A tick of the law of one controller, or none; no part of a state's value.
+#[derive(Clone, Copy, Default)]
+pub struct Origin {
+    controller: usize,
+    tick: u64,
+}
+
+impl PartialEq for Origin {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl std::fmt::Debug for Origin {
+    fn fmt(&self, to: &mut std::fmt::Formatter) -> std::fmt::Result {
+        to.write_str("Origin")
+    }
+}
+
+impl Origin {
+    /// That of a new controller, before its first tick.
+    #[must_use]
+    pub fn of_controller() -> Self {
+        static CONTROLLERS: AtomicUsize = AtomicUsize::new(1);
+        Self { controller: CONTROLLERS.fetch_add(1, Ordering::Relaxed), tick: 0 }
+    }
+
+    /// Becomes the next one.
+    pub fn advance(&mut self) {
+        self.tick += 1;
+    }
+
+    /// Whether it is the same.
+    #[must_use]
+    pub fn is(self, other: Self) -> bool {
+        (self.controller, self.tick) == (other.controller, other.tick)
+    }
 }
 
 impl InnerLoop {
@@ -53,16 +93,22 @@ impl InnerLoop {
             acceleration: zero,
             modes: Modes::default(),
             ticks: 0,
-            tick_of_law: 0,
+            origin: Origin::default(),
         }
     }
 
     /// Begins at a tick of the law, with what it used and predicts.
-    pub fn begin(&mut self, robot: &RobotState, torque: &[f64], acceleration: DVectorView<f64>) {
+    pub fn begin(
+        &mut self,
+        origin: Origin,
+        robot: &RobotState,
+        torque: &[f64],
+        acceleration: DVectorView<f64>,
+    ) {
         self.position.copy_from(&robot.joint_position);
         self.velocity.as_mut_slice().copy_from_slice(robot.joint_velocity());
         self.replace_torque(torque, acceleration);
-        (self.ticks, self.tick_of_law) = (0, self.tick_of_law + 1);
+        (self.ticks, self.origin) = (0, origin);
     }
 
     /// Other torques act, with these accelerations.

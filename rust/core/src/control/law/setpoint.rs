@@ -11,8 +11,7 @@
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
 use super::mission::{AutopilotCommand, Mission};
 use super::recorded::RecordedMotion;
-use crate::control::measure::channels::Jumps;
-use crate::control::measure::greatest::MAGNITUDES;
+use crate::control::measure::greatest::{Jumps, MAGNITUDES};
 use crate::error::{BuildError, Table};
 use crate::schema;
 use crate::spatial::{

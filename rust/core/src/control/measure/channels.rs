@@ -3,9 +3,9 @@
 //! The model advances the last value of every channel to this tick ([`ChannelsState::predict`]). A measured value is
 //! used if it is finite and within its accepted range; for wind, joints and base it must also be near the prediction,
 //! and for joints and base not frozen, that is, with the same bits for several ticks while the prediction moves away.
-//! Otherwise the prediction is used, and the age of the channel grows. The first measurements of a flight may be the wrong ones: where more of the
-//! following ones contradict the prediction, and agree with each other, than it rests on, the flight begins again from
-//! them.
+//! Otherwise the prediction is used, and the age of the channel grows. The first measurements of a flight may be the wrong
+//! ones, and later the prediction: where more of the following ones contradict it, and agree with each other, than it rests
+//! on, or as many as a robot flies blind before it descends, the flight begins again from them.
 //!
 //! ```text
 //! wind              its last value, which fades to zero
@@ -22,10 +22,10 @@
 mod config;
 mod state;
 
-pub use config::{ChannelsConfig, Jumps};
+pub use config::ChannelsConfig;
 pub use state::ChannelsState;
 
-use super::greatest;
+use super::greatest::{self, Jumps};
 use super::measurement::{BETWEEN_MAX, BadStart, Channel, Estimate, Measurement, Sampling};
 use crate::control::acting::Acting;
 use crate::control::modes::Modes;
@@ -56,7 +56,8 @@ const WIND_HOLD: f64 = 1.0;
 /// Time in which the wind fades to zero after it was held \[s\].
 const WIND_FADE: f64 = 2.0;
 
-/// Age of a channel of joints or base above which the robot levels and descends, to the end of the flight \[s\].
+/// Age of a channel of joints or base above which the robot levels and descends, to the end of the flight unless it begins
+/// again \[s\].
 const DESCEND_AFTER: f64 = 3.0;
 
 /// Gain with which a base velocity that is not measured follows the differences of the pose \[1/s\].
@@ -68,6 +69,8 @@ pub struct Channels {
     /// Whether jumps are refused.
     refuses_jumps: bool,
     time_step: f64,
+    /// Greatest number of measurements that a prediction rests on.
+    support_max: u32,
     parts: Vec<Channel>,
     jets: Vec<JetModel>,
     engines: Vec<EngineModel>,
@@ -105,6 +108,7 @@ impl Channels {
     /// Channels of the jets, joints and feet of `robot`, at the tick `time_step` \[s\]. Joint velocities that are
     /// neither needed nor measured count as zero.
     #[must_use]
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few thousand
     pub fn new(
         config: ChannelsConfig,
         robot: &RobotModel,
@@ -120,6 +124,7 @@ impl Channels {
         Self {
             refuses_jumps: config.jump,
             time_step,
+            support_max: (DESCEND_AFTER / time_step) as u32,
             parts: channels
                 .chain([
                     Channel::Joints,
@@ -161,10 +166,11 @@ impl Channels {
             && (feet == 0 || measurement.foot_wrenches.len() == feet)
     }
 
-    /// Whether a state has the sizes of these channels.
+    /// Whether thrusts can have these rates \[N/s\].
     #[must_use]
-    pub fn fit_state(&self, state: &ChannelsState) -> bool {
-        self.fit(&state.last) && state.records.len() == self.parts.len()
+    pub fn accept_rates(&self, rates: &[f64]) -> bool {
+        let rates = rates.iter().zip(&self.greatest.thrust);
+        rates.into_iter().all(|(rate, most)| rate.abs() <= greatest::THRUST_RATE * most)
     }
 
     /// The state before the first tick, and what is known of the robot then.
@@ -407,7 +413,7 @@ impl Channels {
                     modes.insert(Modes::BEGUN_AGAIN);
                 }
             } else if counts {
-                record.support = record.support.saturating_add(1);
+                record.support = record.support.saturating_add(1).min(self.support_max);
             }
             // For joints and base the prediction continues, to be compared with a value that may be frozen.
             if !is_same || !kind.is_vital() {

@@ -6,11 +6,11 @@
 //! x⁺ = x + h ẋ + h²/2 F ẋ        over a knot of length h, with F = ∂ẋ/∂x at its beginning
 //! ```
 //!
-//! An iteration flies the last plan's feedback from the present state, with a shorter step where the motion costs more than
-//! expected. Dynamics and cost are expanded along it, and a backward pass gives the feedback that minimises the expansion,
-//! with inputs within bounds (Li and Todorov 2004; Tassa et al. 2014). The motion of a first plan diverges within a second:
-//! it begins with few knots, and has more once it ends well. It ends at the ground. The iterations of a tick have together no
-//! more knots than a whole plan.
+//! A trial flies the last plan's feedback from the present state. Dynamics and cost are expanded along it, and a backward pass
+//! gives the feedback that minimises the expansion, with inputs within bounds (Li and Todorov 2004; Tassa et al. 2014). A
+//! motion that costs more than expected ends there: the last plan is followed, and the next trial has a shorter step. The
+//! motion of a first plan diverges within a second: it begins with few knots, and has more once it ends well. It ends at the
+//! ground. The trials of a tick expand together no more knots than one of a whole plan.
 //!
 //! ```text
 //! knot       dynamics and cost at a knot, expanded      [`knot`]
@@ -27,13 +27,15 @@ use crate::aero::AeroModel;
 use crate::error::{BuildError, check};
 use crate::jets::JetModel;
 use crate::linalg;
+use crate::qp::{QpAnswer, QpStatus};
 use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, log_so3};
 use knot::{Expansion, Knot, State, World};
 use nalgebra::DVector;
 use riccati::Riccati;
 
-/// Shares of the last plan's step that are flown until the motion costs no more than expected; the last is taken anyhow.
+/// Shares of the last plan's step that one trial after another flies until its motion costs no more than expected; the last is
+/// taken anyhow.
 const SHARES: [f64; 3] = [1.0, 0.3, 0.0];
 /// Factor and sum by which a plan may cost more than the last one, because it begins elsewhere.
 const GROWTH: f64 = 1.3;
@@ -45,6 +47,8 @@ const KNOTS: [f64; 27] = [
 ];
 /// For how long the errors at the end of the last knot count \[s\].
 const TAIL: f64 = 1.0;
+/// Knots that the trials of a tick expand at most, with their ends: as many as one of a whole plan.
+pub const WORK: usize = KNOTS.len() + 1;
 /// Knots of a first plan.
 const KNOTS_FIRST: usize = 13;
 /// A plan whose robot is no higher above its touch-down than this does not end there \[m\].
@@ -75,13 +79,10 @@ pub struct NonlinearPlan {
     damping: f64,
     /// Greatest number of its knots.
     knots_max: usize,
-}
-
-impl NonlinearPlan {
-    /// Number of inputs of all knots.
-    pub(in crate::control) fn len(&self) -> usize {
-        self.steps.len()
-    }
+    /// How many trials have not improved it.
+    refused: usize,
+    /// Certificate of its feedback.
+    answer: Option<QpAnswer>,
 }
 
 /// States at the ends of the knots, and inputs by knot.
@@ -99,6 +100,8 @@ pub(super) struct Nonlinear {
     /// The plan of a state at the start of a flight.
     pub(super) no_plan: NonlinearPlan,
     knot: Knot,
+    /// Knots that the trials of the last tick expanded, with their ends.
+    pub(super) expanded: usize,
     flown: Motion,
     /// Dynamics and cost along it.
     expansions: Vec<Expansion>,
@@ -108,7 +111,7 @@ pub(super) struct Nonlinear {
     none: Vec<f64>,
     /// Another state.
     state: State,
-    /// Inputs at present.
+    /// Inputs of a first plan, and those at present.
     pub(super) inputs: Vec<f64>,
 }
 
@@ -141,10 +144,13 @@ impl Nonlinear {
             since: None,
             damping: DAMPING,
             knots_max: knots,
+            refused: 0,
+            answer: None,
         };
         Ok(Self {
             no_plan,
             knot: Knot::new(mpc, robot, jets, joints, clearance),
+            expanded: 0,
             flown,
             expansions: vec![Expansion::new(n, m); knots + 1],
             riccati: Riccati::new(n, m),
@@ -155,85 +161,69 @@ impl Nonlinear {
         })
     }
 
-    /// Improves the plan from the present state, and sets `inputs` to its first ones; `false` without a plan that ends well.
-    pub(super) fn improve(&mut self, aero: &mut AeroModel, world: World, plan: &mut NonlinearPlan) -> bool {
+    /// Improves the plan from the present state, and sets `inputs` to those at present. Returns the certificate of its feedback,
+    /// and whether it is of this tick; `None` without a plan that ends well.
+    pub(super) fn improve(
+        &mut self,
+        aero: &mut AeroModel,
+        world: World,
+        plan: &mut NonlinearPlan,
+    ) -> Option<(QpAnswer, bool)> {
         let time = world.now.estimate.robot.time;
         self.knot.begin(&world);
-        let age = plan.since.take().map(|since| time - since).filter(|age| (0.0..=AGE_MAX).contains(age));
-        let mut left = KNOTS.len();
-        let mut age = if let Some(age) = age {
-            age
-        } else {
+        self.expanded = 0;
+        let mut begun = plan.since.take().filter(|since| (0.0..=AGE_MAX).contains(&(time - since)));
+        if begun.is_none() {
             self.knot.hold(&world, &mut self.inputs);
             (plan.damping, plan.knots_max) = (DAMPING, KNOTS_FIRST);
             let cost = self.fly(aero, &world, f64::INFINITY, KNOTS_FIRST, None);
-            if !self.take(cost, plan) {
-                return false;
-            }
-            left -= KNOTS_FIRST;
-            0.0
-        };
+            self.take(cost?, plan)?;
+            begun = Some(time);
+        }
         loop {
+            let left = WORK - self.expanded;
             let more = (plan.knots_max + plan.knots_max / 2).min(KNOTS.len());
             let grows =
-                plan.knots_max < KNOTS.len() && more <= left && plan.damping <= DAMPING && plan.ends_well();
+                plan.knots_max < KNOTS.len() && more < left && plan.damping <= DAMPING && plan.ends_well();
             if grows {
                 plan.knots_max = more;
             }
-            if plan.knots_max > left {
+            if plan.knots_max >= left {
                 break;
             }
-            left -= plan.knots_max;
-            let expected = if grows { f64::INFINITY } else { GROWTH * plan.cost + GROWTH_LEAST };
-            let cost = self.fly_last(aero, &world, expected, plan, age);
-            if !self.take(cost, plan) {
-                return false;
+            let (share, age) = (SHARES[plan.refused], time - begun?);
+            let is_last = plan.refused + 1 == SHARES.len();
+            let most = if grows || is_last { f64::INFINITY } else { GROWTH * plan.cost + GROWTH_LEAST };
+            match self.fly(aero, &world, most, plan.knots_max, Some((plan, share, age))) {
+                None if is_last => return None,
+                None => plan.refused += 1,
+                Some(cost) => {
+                    let factor = if plan.refused == 0 { DAMPING_FACTOR } else { 1.0 / DAMPING_FACTOR };
+                    plan.damping = (plan.damping * factor).clamp(DAMPING_RANGE[0], DAMPING_RANGE[1]);
+                    self.take(cost, plan)?;
+                    begun = Some(time);
+                }
             }
-            age = 0.0;
         }
-        plan.since = Some(time);
-        for ((input, flown), step) in self.inputs.iter_mut().zip(&plan.motion.inputs).zip(&plan.steps) {
-            *input = flown + step;
-        }
-        plan.ends_well()
+        plan.since = begun;
+        let (share, age) = (SHARES[plan.refused], time - begun?);
+        self.feed_back(0, (plan, share, age), (0.0, KNOTS[0]));
+        let inputs = self.flown.inputs.iter();
+        self.inputs.iter_mut().zip(inputs).for_each(|(to, input)| *to = *input);
+        plan.answer.filter(|_| plan.ends_well()).map(|answer| (answer, begun == Some(time)))
     }
 
-    /// Makes the flown motion the plan's, with the feedback that improves it; `false` without one.
-    fn take(&mut self, cost: Option<f64>, plan: &mut NonlinearPlan) -> bool {
+    /// Makes the flown motion the plan's, with the feedback that improves it; `None` without one.
+    fn take(&mut self, cost: f64, plan: &mut NonlinearPlan) -> Option<()> {
         let Self { riccati, expansions, flown, knot, inputs, .. } = self;
-        let Some(cost) = cost else { return false };
-        let (expansions, of_motion) =
-            (&expansions[..=flown.knots], &flown.inputs[..flown.knots * inputs.len()]);
-        let feedback = (&mut *plan.steps, &mut *plan.gains);
-        if !riccati.solve(expansions, of_motion, &knot.bounds, plan.damping, feedback) {
-            return false;
-        }
-        std::mem::swap(&mut plan.motion, flown);
-        plan.cost = cost;
-        true
-    }
-
-    /// Flies the plan that began `age` \[s\] ago with the greatest share of its step that costs no more than expected.
-    fn fly_last(
-        &mut self,
-        aero: &mut AeroModel,
-        world: &World,
-        expected: f64,
-        plan: &mut NonlinearPlan,
-        age: f64,
-    ) -> Option<f64> {
-        let (mut cost, mut is_whole) = (None, true);
-        for share in SHARES {
-            let most = if share > 0.0 { expected } else { f64::INFINITY };
-            cost = self.fly(aero, world, most, plan.knots_max, Some((plan, share, age)));
-            is_whole = share == SHARES[0];
-            if cost.is_some() {
-                break;
-            }
-        }
-        let factor = if is_whole { DAMPING_FACTOR } else { 1.0 / DAMPING_FACTOR };
-        plan.damping = (plan.damping * factor).clamp(DAMPING_RANGE[0], DAMPING_RANGE[1]);
-        cost
+        let NonlinearPlan { motion, steps, gains, .. } = plan;
+        motion.copy_from(flown, inputs.len());
+        let inputs = &flown.inputs[..flown.knots * inputs.len()];
+        let answer =
+            riccati.solve(&expansions[..=flown.knots], inputs, &knot.bounds, plan.damping, (steps, gains));
+        (plan.cost, plan.refused) = (cost, 0);
+        plan.answer = Some(answer).filter(|answer| answer.status == QpStatus::Solved);
+        plan.answer.map(|_| ())
     }
 
     /// Thrust acceleration of an input \[N/s²\].
@@ -252,48 +242,79 @@ impl Nonlinear {
         knots: usize,
         last: Option<(&NonlinearPlan, f64, f64)>,
     ) -> Option<f64> {
-        let (n, m) = (self.difference.len(), self.inputs.len());
+        let m = self.inputs.len();
         let (mut cost, mut begin) = (0.0, 0.0);
         self.flown.states[0].set_from(&world.now, &self.knot.joints);
         let is_high = self.flown.states[0].height > world.ground + ABOVE_GROUND;
         self.flown.knots = knots;
         for (knot, &duration) in KNOTS.iter().enumerate().take(knots) {
-            let (before, after) = self.flown.states.split_at_mut(knot + 1);
-            let (state, next) = (&before[knot], &mut after[0]);
-            if is_high && state.height < world.ground {
+            if is_high && self.flown.states[knot].height < world.ground {
                 self.flown.knots = knot;
                 break;
             }
-            let inputs = &mut self.flown.inputs[knot * m..(knot + 1) * m];
-            if let Some((plan, share, age)) = last {
-                let times = (begin + age, begin + age + duration);
-                let place = plan.read(times, share, inputs, &mut self.state);
-                state.minus(&self.state, &mut self.difference);
-                let gain = &plan.gains[place * m * n..(place + 1) * m * n];
-                linalg::add_mat_vec(inputs, gain, m, self.difference.as_slice());
+            if let Some(last) = last {
+                self.feed_back(knot, last, (begin, begin + duration));
             } else {
-                inputs.copy_from_slice(&self.inputs);
+                self.flown.inputs[knot * m..(knot + 1) * m].copy_from_slice(&self.inputs);
             }
-            for (input, (least, greatest)) in inputs.iter_mut().zip(&self.knot.bounds) {
-                *input = input.max(*least).min(*greatest);
-            }
+            self.expanded += 1;
+            let Motion { states, inputs, .. } = &mut self.flown;
+            let (before, after) = states.split_at_mut(knot + 1);
+            let now = (&before[knot], &inputs[knot * m..(knot + 1) * m]);
             let expansion = &mut self.expansions[knot];
-            self.knot.advance(aero, world, (state, inputs), (duration, duration), next, expansion)?;
+            self.knot.advance(aero, world, now, (duration, duration), &mut after[0], expansion)?;
             cost += expansion.cost;
             if cost > most {
                 return None; // no knot costs less than nothing
             }
             begin += duration;
         }
+        self.expanded += 1;
         let knots = self.flown.knots;
         let (end, last) = ((&self.flown.states[knots], &*self.none), &mut self.expansions[knots]);
         self.knot.advance(aero, world, end, (0.0, TAIL), &mut self.state, last)?;
         cost += last.cost;
         (cost.is_finite() && cost <= most).then_some(cost)
     }
+
+    /// Sets the flown inputs of a knot, between times from now on \[s\], to those of a plan with a share of its step, which began
+    /// so long ago \[s\], and its feedback from the state there.
+    fn feed_back(
+        &mut self,
+        knot: usize,
+        (plan, share, age): (&NonlinearPlan, f64, f64),
+        (begin, end): (f64, f64),
+    ) {
+        let (n, m) = (self.difference.len(), self.inputs.len());
+        let inputs = &mut self.flown.inputs[knot * m..(knot + 1) * m];
+        let place = plan.read((age + begin, age + end), share, inputs, &mut self.state);
+        self.flown.states[knot].minus(&self.state, &mut self.difference);
+        let gain = &plan.gains[place * m * n..(place + 1) * m * n];
+        linalg::add_mat_vec(inputs, gain, m, self.difference.as_slice());
+        for (input, (least, greatest)) in inputs.iter_mut().zip(&self.knot.bounds) {
+            *input = input.max(*least).min(*greatest);
+        }
+    }
+}
+
+impl Motion {
+    /// Copies the knots of another motion, of so many inputs each; those after its end stay.
+    fn copy_from(&mut self, other: &Self, inputs: usize) {
+        self.knots = other.knots;
+        for (to, from) in self.states.iter_mut().zip(&other.states).take(1 + other.knots) {
+            to.copy_from(from);
+        }
+        let inputs = other.knots * inputs;
+        self.inputs[..inputs].copy_from_slice(&other.inputs[..inputs]);
+    }
 }
 
 impl NonlinearPlan {
+    /// It is not followed any further.
+    pub(super) fn discard(&mut self) {
+        self.since = None;
+    }
+
     fn ends_well(&self) -> bool {
         let end = &self.motion.states[self.motion.knots];
         end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT
@@ -326,6 +347,15 @@ impl NonlinearPlan {
 }
 
 impl State {
+    fn copy_from(&mut self, other: &Self) {
+        let Self { height, velocity, rotation, momentum, thrust, rate, joints } = other;
+        (self.height, self.velocity) = (*height, *velocity);
+        (self.rotation, self.momentum) = (*rotation, *momentum);
+        self.thrust.copy_from_slice(thrust);
+        self.rate.copy_from_slice(rate);
+        self.joints.copy_from_slice(joints);
+    }
+
     /// The state at a share of the way from one to another.
     fn set_between(&mut self, from: &Self, to: &Self, way: f64) {
         let blend = |from: f64, to: f64| from + way * (to - from);

@@ -9,7 +9,7 @@ use crate::control::config::ControllerConfig;
 use crate::control::detect::Detectors;
 use crate::control::detect::detector::Setup;
 use crate::control::estimate::estimator::Estimator;
-use crate::control::estimate::joint_tracker::JointTracker;
+use crate::control::estimate::joint_tracker::{JointTracker, Origin};
 use crate::control::estimate::wind_observer::WindObserver;
 use crate::control::law::contact::Contact;
 use crate::control::law::mission::Mission;
@@ -104,7 +104,7 @@ impl Controller {
             torques: Torques::new(torques, config.frictions(&model), period),
             joints: JointTracker::new(config.estimator.as_ref(), config.channels, period),
             torque_steps,
-            last_tick: 0,
+            origin: Origin::of_controller(),
             terms: Terms::new(&model, jets.len(), limits, contact, momentum_qp, torque_qp),
             command,
             change: DVector::zeros(6 + joints),

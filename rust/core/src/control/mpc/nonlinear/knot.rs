@@ -270,11 +270,14 @@ impl Knot {
         }
     }
 
-    /// Inputs that hold the thrusts.
+    /// Inputs that hold the thrusts and the joints.
     pub fn hold(&self, world: &World, inputs: &mut [f64]) {
+        inputs.fill(0.0);
         for (jet, input) in inputs.iter_mut().enumerate().take(self.jets.len()) {
             let (least, greatest) = self.range(jet, world.now.estimate.robot.thrust[jet], 0.0);
-            *input = if self.works[jet] { (-least / (greatest - least)).clamp(0.0, 1.0) } else { 0.0 };
+            if self.works[jet] {
+                *input = (-least / (greatest - least)).clamp(0.0, 1.0);
+            }
         }
     }
 

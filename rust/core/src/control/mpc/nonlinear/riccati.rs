@@ -2,9 +2,7 @@
 
 use super::knot::Expansion;
 use crate::linalg;
-
-/// Passes in which inputs are found to lie at their bounds.
-const PASSES: usize = 4;
+use crate::qp::{PrimalActiveSet, QpAnswer, QpProblem, QpSolver, QpStatus};
 
 /// Workspace of the backward pass.
 #[derive(Debug)]
@@ -18,12 +16,13 @@ pub struct Riccati {
     product: Vec<f64>,
     q: Vec<f64>,
     q_vector: Vec<f64>,
-    free: Vec<bool>,
-    factor: Vec<f64>,
-    right: Vec<f64>,
+    /// The QP of the knot's inputs.
+    problem: QpProblem,
+    solver: PrimalActiveSet,
 }
 
 impl Riccati {
+    /// Allocates for `n` states and `m` inputs.
     #[must_use]
     pub fn new(n: usize, m: usize) -> Self {
         Self {
@@ -34,14 +33,13 @@ impl Riccati {
             product: vec![0.0; n * (n + m)],
             q: vec![0.0; (n + m) * (n + m)],
             q_vector: vec![0.0; n + m],
-            free: vec![true; m],
-            factor: vec![0.0; m * m],
-            right: vec![0.0; m],
+            problem: QpProblem::new(m, 0),
+            solver: PrimalActiveSet::new(m),
         }
     }
 
-    /// Computes the feedback along `inputs` by knot: changes of the inputs and their derivatives by the state (m × n);
-    /// `false` where the cost is not convex or not finite.
+    /// Computes the feedback along `inputs` by knot: changes of the inputs and their derivatives by the state (m × n). Returns
+    /// the worst certificate of the knots' QPs, with all their factorisations; without one that is solved there is no feedback.
     pub fn solve(
         &mut self,
         expansions: &[Expansion],
@@ -49,14 +47,16 @@ impl Riccati {
         bounds: &[(f64, f64)],
         damping: f64,
         (steps, gains): (&mut [f64], &mut [f64]),
-    ) -> bool {
+    ) -> QpAnswer {
         let (n, m) = (self.n, self.m);
         let w = n + m;
-        let Some((last, before)) = expansions.split_last() else { return false };
+        let mut all = QpAnswer { kkt: 0.0, ..QpAnswer::from_status(QpStatus::Solved) };
+        let Some((last, before)) = expansions.split_last() else { return all };
         for column in 0..n {
             self.p[column * n..(column + 1) * n].copy_from_slice(&last.hessian[column * w..column * w + n]);
         }
         self.p_vector.copy_from_slice(&last.gradient[..n]);
+        self.solver.reset(); // then each knot begins with what the next one holds
         for (knot, expansion) in before.iter().enumerate().rev() {
             self.product.fill(0.0);
             self.q.copy_from_slice(&expansion.hessian);
@@ -70,9 +70,13 @@ impl Riccati {
             let range = knot * m..(knot + 1) * m;
             let gain = &mut gains[range.start * n..range.end * n];
             let step = &mut steps[range.clone()];
-            if !self.minimise(&inputs[range], bounds, step, gain) {
-                return false;
+            let answer = self.minimise(&inputs[range], bounds, step, gain);
+            all.iterations += answer.iterations;
+            all.active += answer.active;
+            if answer.status != QpStatus::Solved {
+                return QpAnswer { iterations: all.iterations, ..answer };
             }
+            all.kkt = all.kkt.max(answer.kkt);
             // P = Q_xx + Q_xu K,  p = q_x + Q_xu k
             let q_xu = &self.q[n * w..];
             for column in 0..n {
@@ -88,72 +92,41 @@ impl Riccati {
                 }
             }
         }
-        true
+        all
     }
 
-    /// Step and gain of a knot from Q and q: inputs that reach their bounds stay there.
+    /// Step and gain of a knot from Q and q: inputs that are held at their bounds have no feedback.
     fn minimise(
         &mut self,
         inputs: &[f64],
         bounds: &[(f64, f64)],
         step: &mut [f64],
         gain: &mut [f64],
-    ) -> bool {
+    ) -> QpAnswer {
         let (n, m) = (self.n, self.m);
         let w = n + m;
-        let Self { q, q_vector, free, factor, right, .. } = self;
-        free.fill(true);
-        step.fill(0.0);
-        for _ in 0..=PASSES {
-            for input in 0..m {
-                right[input] = if free[input] {
-                    let held = (0..m).filter(|other| !free[*other]);
-                    let of_held: f64 = held.map(|other| q[n + input + (n + other) * w] * step[other]).sum();
-                    -q_vector[n + input] - of_held
-                } else {
-                    0.0
-                };
-                for row in 0..m {
-                    factor[row + input * m] = match (free[input], free[row]) {
-                        (true, true) => q[n + row + (n + input) * w],
-                        _ => f64::from(u8::from(row == input)),
-                    };
-                }
-            }
-            if !linalg::cholesky_in_place(factor, m, m, m) {
-                return false;
-            }
-            linalg::solve_lower_in_place(factor, m, m, right);
-            linalg::solve_lower_transposed_in_place(factor, m, m, right);
-            let mut has_changed = false;
-            for input in 0..m {
-                if !free[input] {
-                    continue;
-                }
-                let (least, greatest) = bounds[input];
-                let wanted = inputs[input] + right[input];
-                step[input] = right[input];
-                if wanted < least || wanted > greatest {
-                    step[input] = wanted.max(least).min(greatest) - inputs[input];
-                    free[input] = false;
-                    has_changed = true;
-                }
-            }
-            if !has_changed {
-                break;
+        let Self { q, q_vector, problem, solver, .. } = self;
+        for (input, (value, (least, greatest))) in inputs.iter().zip(bounds).enumerate() {
+            problem.g[input] = q_vector[n + input];
+            (problem.lower[input], problem.upper[input]) = (least - value, greatest - value);
+            for row in 0..=input {
+                let entry = q[n + row + (n + input) * w];
+                (problem.h[(row, input)], problem.h[(input, row)]) = (entry, entry);
             }
         }
-        // The factor may be that of a pass before; inputs held since then have no feedback.
-        for column in 0..n {
-            for input in 0..m {
-                right[input] = if free[input] { -q[n + input + column * w] } else { 0.0 };
-            }
-            linalg::solve_lower_in_place(factor, m, m, right);
-            linalg::solve_lower_transposed_in_place(factor, m, m, right);
-            for input in 0..m {
-                gain[input + column * m] = if free[input] { right[input] } else { 0.0 };
-            }
+        let answer = solver.solve(problem);
+        if answer.status != QpStatus::Solved {
+            return answer;
         }
-        gain.iter().chain(step.iter()).all(|value| value.is_finite())
+        step.copy_from_slice(solver.x());
+        for (column, gain) in gain.chunks_exact_mut(m).enumerate() {
+            for (gain, by) in gain.iter_mut().zip(&q[n + column * w..(column + 1) * w]) {
+                *gain = -by;
+            }
+            solver.solve_free(gain);
+        }
+        debug_assert_eq!(gain.len(), m * n);
+        let is_finite = gain.iter().all(|value| value.is_finite());
+        if is_finite { answer } else { QpAnswer::from_status(QpStatus::NonFinite) }
     }
 }

@@ -1,6 +1,6 @@
 //! The plan of the predictive law, a part of the controller's state.
 
-use crate::control::mpc::nonlinear::NonlinearPlan;
+use super::nonlinear::NonlinearPlan;
 use crate::qp::{QpAnswer, WarmStart};
 
 /// The plan that is followed.
@@ -53,9 +53,12 @@ impl Plan {
         self.inputs.is_empty()
     }
 
-    /// It is not followed any further.
+    /// It is not followed any further, and a new one is due.
     pub(in crate::control) fn discard(&mut self) {
-        self.since = None;
+        (self.since, self.tried) = (None, f64::NEG_INFINITY);
+        if let Some(plan) = &mut self.nonlinear {
+            plan.discard();
+        }
     }
 
     /// Time since it began \[s\].
