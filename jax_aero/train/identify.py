@@ -1,11 +1,12 @@
 """Numbers of a robot from its logs: maximum a posteriori over the equations of motion, in the frequency domain.
 
     r(t, θ) = M ν̇ + h − S g τ + friction − Σ Jᵀ g T a − air      what acts on the robot unexplained, all 6 + n rows
-    minimise  Σ_f |r̂(f, θ)|² / S(f) + ½ |θ/σ|²                   r̂ the transform of the tapered r, S its spectrum
+    minimise  Σ_f |r̂(f, θ)|² / S(f) + ½ θᵀ P⁻¹ θ                   r̂ the transform of the tapered r, S its spectrum
 
-`θ` are differences from the robot's file, `σ` their prior deviations. Derivatives of the residual are JAX's; `S`, the
-noise of each row, is estimated with `θ` in bands of frequency, which share the degrees of freedom that `θ` takes. Every
-body's mass is distributed as in the file, after an affine map of its place, so that it stays physical.
+`θ` are differences from the robot's file, `P` their prior covariance, of deviations `σ`, in which gains of torques alone
+are related. Derivatives of the residual are JAX's; `S`, the noise of each row, is estimated with `θ` in bands of
+frequency, which share the degrees of freedom that `θ` takes. Every body's mass is distributed as in the file, after an
+affine map of its place, so that it stays physical.
 
 Noise of measurements that numbers multiply biases them, as it is least where they are small; its mean share of the
 gradient, of thrusts in their gains and of the base's accelerations in the mass matrix M, is taken off:
@@ -64,6 +65,8 @@ AIR = (0.3, 0.4, 0.15)
 gyration, about the base and about joints: what an analytical model leaves of a network."""
 LATE = 1e-3
 """Deviation of the delay of torques that jitter and held commands imitate [s]; ours, of drawn robots."""
+ALIKE = 0.8
+"""Correlation of the gains of torques before the logs, since a robot's drives are of one kind; ours."""
 CHUNK = 50
 """Samples whose derivatives are computed at once; bounds the memory."""
 
@@ -369,6 +372,10 @@ def estimate(
     )
     if not (gains.size and offsets.size):
         gains = offsets = np.zeros(0, dtype=int)
+    before = np.eye(free.size)
+    of_torques = np.flatnonzero(np.isin(free, np.asarray(index.torque_gain, dtype=int)))
+    before[np.ix_(of_torques, of_torques)] += ALIKE * (1.0 - np.eye(of_torques.size))
+    before = np.linalg.inv(before)
 
     def left_of(theta: Any, some: Sequence[Samples]) -> list[np.ndarray]:
         return [unexplained(model, unravel(jnp.asarray(theta)), one) for one in some]
@@ -394,7 +401,7 @@ def estimate(
         theta = start.copy()
         covariance: np.ndarray = np.zeros((sigma.size, sigma.size))
         for _ in range(WEIGHED):
-            information, slope = np.eye(sigma.size), -theta[free] / sigma
+            information, slope = before.copy(), -before @ (theta[free] / sigma)
             if weighed is not None and width[0] > 0.0:
                 mass = float(np.sum(robot.masses))
                 by_mass = sigma[0] * mass / weighed[1]
@@ -432,12 +439,12 @@ def estimate(
                     for one, left in zip(some, lefts, strict=True)
                 ]
                 linearised += 1
-            before, (theta, covariance) = theta, solve(theta, lefts, linear, counts, step)
-            last, moved = moved, _deviations((theta - before)[free], sigma, covariance)
+            old, (theta, covariance) = theta, solve(theta, lefts, linear, counts, step)
+            last, moved = moved, _deviations((theta - old)[free], sigma, covariance)
             if moved < CONVERGED:
                 break
             if moved > STALLED * last:  # as of drag in a wind that is to be found, whose slope changes with it
-                theta = 0.5 * (theta + before)
+                theta = 0.5 * (theta + old)
                 linear = None if linearised < LINEARISED else linear
         return theta, covariance, linear, moved
 

@@ -148,6 +148,20 @@ def test_noise_that_multiplies_numbers_does_not_make_them_small(kind, sparrow, m
 
 
 @pytest.mark.usefixtures("x64")
+def test_drives_that_are_wrong_alike_do_not_make_the_robot_light(sparrow, monkeypatch):
+    """Without a weighing its mass is known as well as all torques are together, which are a tenth too small."""
+    asked = ("mass", "thrust_gain", "torque_gain", "air")
+    prior, truth = drawn(sparrow.robot)
+    truth = truth._replace(torque_gain=jnp.full_like(truth.torque_gain, 0.1))
+    prior = prior._replace(**{name: np.zeros_like(part) for name, part in prior._asdict().items() if name not in asked})
+    log = made_log(sparrow, truth)
+    found = identify.estimate(sparrow, [log], PERIOD, prior)
+    assert abs(found.value[0]) < command.Z * found.deviation[0]
+    monkeypatch.setattr(identify, "ALIKE", 0.0)
+    assert identify.estimate(sparrow, [log], PERIOD, prior).deviation[0] < 0.97 * found.deviation[0]
+
+
+@pytest.mark.usefixtures("x64")
 def test_bodies_that_differ_one_by_one_do_not_mislead(sparrow, monkeypatch):
     """Masses, centres and sizes of bodies beside what the robot has in common: intervals of all hold the truth."""
     prior, truth = drawn(sparrow.robot, "mass", "com", "inertia", "bodies", "torque_gain")
