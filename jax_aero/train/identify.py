@@ -3,8 +3,8 @@
     r(t, θ) = M ν̇ + h − S g τ + friction − Σ Jᵀ g T a − air      what acts on the robot unexplained, all 6 + n rows
     minimise  Σ_f |r̂(f, θ)|² / S(f) + ½ θᵀ P⁻¹ θ                   r̂ the transform of the tapered r, S its spectrum
 
-`θ` are differences from the robot's file, `P` their prior covariance, of deviations `σ`, in which gains of torques alone
-are related. Derivatives of the residual are JAX's; `S`, the noise of each row, is estimated with `θ` in bands of
+`θ` are differences from the robot's file, `P` their prior covariance, of deviations `σ`, in which gains of torques
+alone are related. Derivatives of the residual are JAX's; `S`, the noise of each row, is estimated with `θ` in bands of
 frequency, which share the degrees of freedom that `θ` takes. Every body's mass is distributed as in the file, after an
 affine map of its place, so that it stays physical.
 
