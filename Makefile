@@ -10,7 +10,7 @@ TESTING := $(VENV)/.testing
 PACKAGES := $(VENV)/.packages
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
 DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer engine_out_mpc
-FILM := test1_published --beside test1_published_observer engine_out_mpc --start 10 --end 27 --speed 3 --fps 10 --size 960x480
+FILM := test1 --beside test2 test1_observer engine_out_mpc --start 10 --end 27 --speed 3 --fps 10 --size 960x480
 
 # Duration of `make fuzz`.
 MINUTES ?= 60

@@ -19,6 +19,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from jax_aero.base import places
+from jax_aero.base.controllers import CONTROLLERS
 from jax_aero.base.files import read_json
 from jax_aero.commands import fly
 from jax_aero.data import tables as measured
@@ -38,12 +39,13 @@ MADE_OF = "Made of"
 DESCRIPTION = 0x010E
 """EXIF's tag of the same text in a film."""
 FILM = ROOT / "docs/img/flight.webp"
-FILMED = ("test1_published", "test1_published_observer", "engine_out_mpc")
-TITLES = (
-    "Published controller without a model of the air",
-    "Our controller without a model of the air",
-    "Our predictive controller, an engine stops at 18 s",
-)
+FILMED = {
+    "test1": "baseline",
+    "test2": "aero_aware",
+    "test1_observer": "observer_without_model",
+    "engine_out_mpc": "mpc",
+}
+"""Experiments with their controllers."""
 CUT = "--size 960x480 --fps 10 --speed 3 --start 10 --end 27"
 FIGURES_OF_A_FLIGHT = ("max_rotation_error", "max_com_error", "thrust_max", "end_com_z")
 
@@ -93,7 +95,8 @@ def film(folder: Path) -> None:
     """Fly what the film shows, and film it."""
     fly.main([*FILMED, "--out", str(folder)])
     first, *others = (str(folder / name) for name in FILMED)
-    shown = ["--beside", *others, "--titles", *TITLES, *CUT.split()]
+    titles = [CONTROLLERS[name].label for name in FILMED.values()]
+    shown = ["--beside", *others, "--titles", *titles, *CUT.split()]
     words = ["view", "video", first, *shown, "--out", str(folder / FILM.name)]
     subprocess.run([sys.executable, "-m", "jax_aero", *words], check=True)
     made = {run: of_flight(read_json(folder / run / places.MANIFEST_FILE, dict)) for run in FILMED}

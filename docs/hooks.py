@@ -68,7 +68,7 @@ def on_config(config: Any) -> Any:
     results = next(section["Results"] for section in config["nav"] if "Results" in section)
     listed = {title: pages for entry in results for title, pages in entry.items()}
     listed["Studies"].extend(f"studies/{name}.md" for name in studies.names())
-    listed["Kept results"].extend({name.replace("_", " "): f"results/{name}.md"} for name in kept.names())
+    listed["Stored results"].extend({name.replace("_", " "): f"results/{name}.md"} for name in kept.names())
     return config
 
 

@@ -39,9 +39,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import _core, own
 from jax_aero._core import (
-    MODES,
-    NUMERICS,
-    SETTLING_TIME,
     BoxQpSolver,
     ControllerState,
     Robot,
@@ -132,6 +129,13 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+MODES: Mapping[str, int] = _core.MODES
+"""Bits of the modes of a tick, by name."""
+NUMERICS: int = _core.NUMERICS
+"""Version of the crate's numbers: flights of another one may have other bits."""
+SETTLING_TIME: float = _core.SETTLING_TIME
+"""Time from which on figures of merit count the position error [s]."""
 
 Config = dict[str, Any]
 """A resolved flight configuration: nested tables of plain values, including every default."""

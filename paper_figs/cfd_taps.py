@@ -42,7 +42,7 @@ def draw(study: xr.Dataset) -> Figure:
 
 def fields(case: xr.Dataset) -> dict[str, xr.DataArray]:
     """Return what is drawn of a case."""
-    return {"tunnel": case["cp_tunnel"], "flow": case["cp"], "flow less tunnel": case["cp"] - case["cp_tunnel"]}
+    return {"tunnel": case["cp_tunnel"], "our CFD": case["cp"], "CFD less tunnel": case["cp"] - case["cp_tunnel"]}
 
 
 def _taps(axes: Axes, case: xr.Dataset, values: xr.DataArray, view: str) -> ScalarMappable:
@@ -69,12 +69,14 @@ def _taps(axes: Axes, case: xr.Dataset, values: xr.DataArray, view: str) -> Scal
 def _by_link(axes: Axes, study: xr.Dataset) -> None:
     links = study["link"].values
     names = list(dict.fromkeys(links.tolist()))
-    for colour, link in zip(style.GROUP_COLOURS, names, strict=False):
+    looks = zip(style.GROUP_COLOURS, "o^sDvP*X", names, strict=False)
+    for colour, marker, link in looks:
         part = study.isel(tap=links == link)
         tunnel, flow = part["cp_tunnel"].values.ravel(), part["cp"].values.ravel()
-        axes.plot(tunnel, flow, "o", color=colour, markersize=2.0, alpha=0.6, label=link.replace("_", " "))
+        look: dict[str, Any] = {"linestyle": "", "color": colour, "markersize": 2.0, "alpha": 0.6}
+        axes.plot(tunnel, flow, marker, label=link.replace("_", " "), **look)
     axes.axline((0.0, 0.0), slope=1.0, color=style.BLACK, linewidth=0.8)
-    axes.set(xlabel="pressure coefficient, tunnel", ylabel="flow", xlim=(-2.6, 1.2), ylim=(-2.6, 1.2))
+    axes.set(xlabel="pressure coefficient, tunnel", ylabel="our CFD", xlim=(-2.6, 1.2), ylim=(-2.6, 1.2))
     axes.set_aspect("equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), markerscale=2.5)
 

@@ -31,7 +31,7 @@ CALM = (4.0, 9.0)
 LEG = (
     ("hip_pitch", style.VERMILION, "-"),
     ("hip_roll", style.GREEN, "-"),
-    ("hip_yaw", style.GREY, "-"),
+    ("hip_yaw", style.PURPLE, "-"),
     ("knee", style.BLACK, "--"),
     ("ankle_pitch", style.ORANGE, "-"),
     ("ankle_roll", style.BLUE, "-"),

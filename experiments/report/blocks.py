@@ -29,6 +29,7 @@ import msgspec
 from experiments.report.page import table
 from jax_aero import rust
 from jax_aero.base import places
+from jax_aero.base.controllers import CONTROLLERS
 from jax_aero.base.quantities import shown
 from jax_aero.base.result import ending
 from jax_aero.base.terminal import Refused
@@ -43,12 +44,14 @@ BLOCK = re.compile(r"^<!-- table\n(?P<asks>.*?)^-->\n.*?^<!-- end -->$", re.MULT
 
 
 class Asked(msgspec.Struct, forbid_unknown_fields=True):
-    """What a block shows: one of `kept`, `flights` and `compared`."""
+    """What a block shows: one of `kept`, `flights`, `controllers` and `compared`."""
 
     kept: str = ""
     """A kept result."""
     flights: Names = []
-    """Experiments, which are flown."""
+    """Experiments, which are flown; `{baseline}` in a heading is the label of this controller."""
+    controllers: bool = False
+    """The controllers with their labels."""
     compared: bool = False
     """What of each shipped experiment `jax-aero verify` compares, and the keys that JAX refuses."""
     rows: Any = {}
@@ -88,7 +91,7 @@ def written(text: str, path: Path) -> str:
 
 def shows(asked: Asked) -> str:
     """Return the table that a block asks for."""
-    sources = {"kept": _of_kept, "flights": _of_flights, "compared": _of_compared}
+    sources = {"kept": _of_kept, "flights": _of_flights, "controllers": _of_controllers, "compared": _of_compared}
     named = [source for source in sources if getattr(asked, source)]
     if len(named) != 1:
         raise Refused(f"a table shows {' and '.join(named) or 'nothing'}; expected one of {', '.join(sources)}")
@@ -119,8 +122,16 @@ def _of_flights(asked: Asked) -> Rows:
         rows.append(row)
     labels = {name: figure.label for name, figure in rust.figures().items()} | {"lost_time": "lost at"}
     headings, cells = of_columns(asked.columns, rows, labels)
-    texts = [f"`{name}`" if text == name else text for text, name in by_heading(asked.flights).items()]
+    named = {key: controller.label for key, controller in CONTROLLERS.items()}
+    texts = [
+        f"`{name}`" if text == name else text.format_map(named) for text, name in by_heading(asked.flights).items()
+    ]
     return ["flight", *headings], [[text, *row] for text, row in zip(texts, cells, strict=True)]
+
+
+def _of_controllers(_: Asked) -> Rows:
+    rows = [[named.label, f"`{name}`", *named[1:]] for name, named in CONTROLLERS.items()]
+    return ["controller", "`configs/control/`", "has", "needs", "use it for"], rows
 
 
 def _of_compared(_: Asked) -> Rows:

@@ -117,6 +117,7 @@ def export(words: Sequence[str]) -> int:
     parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it, with --html")
     about = "messages of the MCAP file: JSON for Foxglove (default), or standard types of ROS 2"
     parser.add_argument("--profile", choices=("json", "ros2"), metavar="PROFILE", help=f"{about}; json or ros2")
+    parser.add_argument("--signals", nargs="+", default=[], metavar="NAME", help="signals of a CSV file (default: all)")
     _files(parser, None)
     given = parser.parse_args(words)
     given.out = given.out or Path(name_of(given.result) if given.format == "config" else f"flight.{given.format}")
@@ -130,6 +131,8 @@ def export(words: Sequence[str]) -> int:
             raise Refused(f"--ghost is given with --{given.format}; expected --html, which alone shows two flights")
         if given.profile is not None and given.format != "mcap":
             raise Refused(f"--profile is given with --{given.format}; expected --mcap, which alone has profiles")
+        if given.signals and given.format != "csv":
+            raise Refused(f"--signals is given with --{given.format}; expected --csv, which alone has a choice")
         if given.format == "config":
             _load(copy_named(find("experiments", given.result), given.out, replace=given.overwrite))
             return
@@ -139,8 +142,10 @@ def export(words: Sequence[str]) -> int:
             write_page([flight, *ghost], given.out)
         elif given.format == "mcap":
             write_mcap(flight, given.out, progress, given.profile or "json")
+        elif given.format == "mat":
+            write_mat(flight, given.out)
         else:
-            (write_mat if given.format == "mat" else write_csv)(flight, given.out)
+            write_csv(flight, given.out, given.signals)
 
     return _write(given, "tick", work)
 

@@ -18,7 +18,7 @@ OURS: Mapping[str, Entry] = {
     ),
     "demo": Entry(
         demo.draw,
-        "three controllers, corrected and published lever arms",
+        "three controllers, lever arms corrected and as published",
         "flight",
         ("test1", "test2", "test1_observer", "test1_published", "test2_published", "test1_published_observer"),
     ),

@@ -1,4 +1,4 @@
-"""The use of aerodynamic feedback: three controllers, with corrected and with published lever arms."""
+"""The use of aerodynamic feedback: three controllers, with lever arms corrected and as published."""
 
 from __future__ import annotations
 
@@ -8,28 +8,30 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from jax_aero.base import flights
+from jax_aero.base.controllers import CONTROLLERS
 from jax_aero.figures import panels, style
 
-COLUMNS = ("corrected lever arms", "published lever arms")
-CONTROLLERS: Sequence[tuple[str, str, str]] = (
+COLUMNS = ("lever arms corrected", "lever arms as published")
+LINES: Sequence[tuple[str, str, str]] = (
     ("baseline", style.VERMILION, "-"),
-    ("aerodynamic-aware", style.BLUE, "--"),
-    ("observer, no model", style.GREEN, ":"),
+    ("aero_aware", style.BLUE, "--"),
+    ("observer_without_model", style.GREEN, ":"),
 )
+"""Controllers, with colours and dashes."""
 WIDTH = 4.0
 """Narrow, so that the text is legible on a telephone [inches]."""
 
 
 def draw(*runs: xr.Dataset) -> Figure:
-    """Draw six runs: baseline, aware and observer with corrected arms, then the same with published arms."""
+    """Draw six runs: those of `LINES` with lever arms corrected, then the same as published."""
     figure = style.figure(4.6, WIDTH)
     grid = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(1.3, 1.3, 0.8))
     for column, title in enumerate(COLUMNS):
-        same_arms = runs[len(CONTROLLERS) * column :][: len(CONTROLLERS)]
+        same_arms = runs[len(LINES) * column :][: len(LINES)]
         grid[0, column].set_title(title, weight="bold")
         for axes, of in zip(grid[:, column], (flights.rotation_error, flights.com_error), strict=False):
-            for run, (controller, colour, dash) in zip(same_arms, CONTROLLERS, strict=True):
-                panels.line(axes, of(flights.until_loss(run)), dash, color=colour, label=controller)
+            for run, (controller, colour, dash) in zip(same_arms, LINES, strict=True):
+                panels.line(axes, of(flights.until_loss(run)), dash, color=colour, label=CONTROLLERS[controller].label)
                 panels.mark_loss(axes, run, labelled=of is flights.rotation_error)
         longest = max(same_arms, key=lambda run: run.sizes["time"])
         panels.line(grid[-1, column], longest["wind"].sel(xyz="y"), color=style.BLACK)

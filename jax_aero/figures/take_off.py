@@ -31,8 +31,9 @@ def draw(run: xr.Dataset) -> Figure:
     attitude.set_xlabel("time [s]")
     for axes in grid:
         axes.fill_between(
-            time, 0.0, 1.0, where=airborne, transform=axes.get_xaxis_transform(), color=style.GREY, alpha=0.12
-        )
+            time, 0.0, 1.0, where=airborne, transform=axes.get_xaxis_transform(), color=style.GREY, alpha=0.12,
+            label="in the air" if axes is height else None,
+        )  # fmt: skip
         panels.mark_loss(axes, run)
     for axes in (height, load_, thrust):
         style.legend(axes, loc="upper right", ncols=4)

@@ -46,12 +46,13 @@ def csv_table(rows: Rows) -> str:
 
 
 def latex_table(rows: Rows) -> str:
-    """Return rows as a `tabular` with the rules of booktabs; `$...$` is mathematics."""
+    """Return rows as a `tabular` with the rules of booktabs, at most 16 cm wide; `$...$` is mathematics."""
     aligned, sides = _align(rows, "\u2007")
     styled = _frame(aligned).style.hide(axis="index").format(escape="latex-math")
     styled = styled.format_index(escape="latex-math", axis="columns")
     text: str = styled.to_latex(hrules=True, column_format="".join(side[0] for side in sides))
-    return text.rstrip("\n").translate(SIGNS)
+    box = "\\begin{adjustbox}{max width=16cm}", "\\end{adjustbox}"
+    return f"{box[0]}\n{text.rstrip().translate(SIGNS)}\n{box[1]}"
 
 
 def _frame(rows: Rows) -> pd.DataFrame:

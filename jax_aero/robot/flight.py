@@ -22,6 +22,7 @@ from jax_aero.symbolic.robot import Array, Robot
 from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings
 
 HOVER, MISSION = "hover", "in_line"
+TITLES = {HOVER: "hover in still air", MISSION: "the paper's mission in 10 m/s of side wind"}
 
 RESERVE = 0.05
 """Least distance of thrusts, joint positions and torques in the trim from their limits, relative to their ranges."""
@@ -69,7 +70,8 @@ def fly(
     study.write_with_schema(folder / "controller.toml", "control", text)
 
     def flight(name: str, mission: str, wind: str, duration: float) -> rust.FlightResult:
-        text = scenario.scenario_text(robot, trim, folder, mission=mission, wind=wind, duration=duration, height=height)
+        what = {"title": TITLES[mission], "mission": mission, "wind": wind}
+        text = scenario.scenario_text(robot, trim, folder, **what, duration=duration, height=height)
         file = folder / f"{places.file_name(robot.name)}_{name}.toml"
         study.write_with_schema(file, "experiments", text)
         return rust.fly(rust.load_config(file))

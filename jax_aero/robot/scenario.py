@@ -147,7 +147,15 @@ def _predictive(mpc: dict[str, Any], robot: RobotModel, of_force: float, soles: 
 
 
 def scenario_text(
-    robot: Robot, trim: TrimResult, folder: Path, *, mission: str, wind: str, duration: float, height: float
+    robot: Robot,
+    trim: TrimResult,
+    folder: Path,
+    *,
+    title: str,
+    mission: str,
+    wind: str,
+    duration: float,
+    height: float,
 ) -> str:
     """Return a flight that starts in the trim, the base at a height [m], with the mission and wind of these names."""
     joints = ", ".join(repr(float(value)) for value in trim.joint_position)
@@ -157,7 +165,7 @@ def scenario_text(
     def path_of(kind: str, name: str) -> str:
         return plain.toml_value(_relative_path(places.CONFIGS / kind / f"{name}.toml", folder))
 
-    return f"""title = {plain.toml_value(f"{robot.name}: {mission} in wind {wind}")}
+    return f"""title = {plain.toml_value(f"{robot.name}: {title}")}
 description = "Starts in the trim that `jax-aero robot import` found."
 robot = "robot.toml"
 controller = {{ base = "controller.toml" }}

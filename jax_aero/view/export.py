@@ -27,10 +27,11 @@ import msgspec
 import numpy as np
 
 from jax_aero import rust
+from jax_aero.base import places
 from jax_aero.base.files import complete_file, write_text
 from jax_aero.base.terminal import Progress
 from jax_aero.base.typed import make_portable
-from jax_aero.view import check_out, foxglove, require, ros2
+from jax_aero.view import Refused, check_out, foxglove, require, ros2
 from jax_aero.view.recording import Recording, entries_of
 from jax_aero.view.topics import Topic
 
@@ -68,17 +69,21 @@ def column_name(signal: str, entry: Sequence[str]) -> str:
     return "/".join([signal, *entry])
 
 
-def write_csv(recording: Recording, out: Path) -> None:
+def write_csv(recording: Recording, out: Path, signals: Sequence[str] = ()) -> None:
     """Write a table with a header, a row for each tick, and `time` as the first column; missing numbers are empty.
+
+    It has these signals, or all.
 
     Raises
     ------
     Refused
-        If `out` is not a `.csv` file in an existing folder.
+        If `out` is not a `.csv` file in an existing folder, or there is no such signal.
     """
     check_out(out, ".csv")
+    if unknown := [name for name in signals if name not in recording.signals]:
+        raise Refused(f"there is no signal `{unknown[0]}`{places.did_you_mean(unknown[0], recording.signals)}")
     columns, names = [], []
-    for signal in recording.signals:
+    for signal in dict.fromkeys(["time", *signals]) if signals else recording.signals:
         rows = recording.rows(signal)
         names += [column_name(signal, entry) for entry in entries_of(signal, recording.robot)]
         columns.append(rows)

@@ -200,7 +200,7 @@ def label(
 def profile(
     draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], recording: Recording, times: list[float], size: int
 ) -> None:
-    """Draw the path from the side, or from above if it turns, with the times marked and numbered."""
+    """Draw the path from the side, or from above if it turns, to one scale, with the times marked and numbered."""
     s = recording.signals
     left, top, right, bottom = box
     turns = float(np.ptp(s["com_setpoint"][:, 1])) > 2.0
@@ -209,11 +209,13 @@ def profile(
     everything = np.concatenate([path, wanted])
     low, high = everything.min(axis=0), everything.max(axis=0)
     low[1] = min(low[1], 0.0)
-    span = np.maximum(high - low, [1.0, 1.0])
+    room = np.array([right - left, bottom - top])
+    metre = float(np.min(room / np.maximum(high - low, 1.0)))  # pixels
+    span = room / metre
 
     def pixel(point: Vector) -> tuple[float, float]:
-        share = (point - low) / span
-        return left + float(share[0]) * (right - left), bottom - float(share[1]) * (bottom - top)
+        x, y = metre * (point - low)
+        return left + float(x), bottom - float(y)
 
     draw.line((left, bottom, right, bottom), fill=SOFT, width=1)
     draw.line((left, bottom, left, top), fill=SOFT, width=1)

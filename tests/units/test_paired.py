@@ -56,7 +56,8 @@ def test_flights_on_the_same_draws_are_pairs():
 def test_a_table_is_csv_and_latex():
     rows = [["gain $k_o$", "share [%]"], ['50_a, "b"', "−1°"]]
     assert csv_table(rows) == 'gain $k_o$,share [%]\n"50_a, ""b""",−1°'
-    head, _, top, _, body, *_ = latex_table(rows).splitlines()
+    box, head, _, top, _, body, *_, end = latex_table(rows).splitlines()
+    assert (box, end) == (r"\begin{adjustbox}{max width=16cm}", r"\end{adjustbox}")
     assert head == r"\begin{tabular}{ll}"
     assert top == r"gain $k_o$ & share [\%] \\"
     assert body == r'50\_a, "b" & \ensuremath{-}1\ensuremath{^\circ} \\'
@@ -64,7 +65,7 @@ def test_a_table_is_csv_and_latex():
 
 def test_numbers_of_a_column_stand_below_each_other():
     rows = [["a", "share", "n"], ["x", "5 (1 to 12)", "5"], ["y", "", "−50"], ["3 of 4", "100 (-44 to 100)", ""]]
-    head, _, _, _, first, second, third, *_ = latex_table(rows).replace(r"\phantom{0}", "_").splitlines()
+    _, head, _, _, _, first, second, third, *_ = latex_table(rows).replace(r"\phantom{0}", "_").splitlines()
     assert head == r"\begin{tabular}{lrr}"
     assert first == r"x & __5 (__1 to _12) & 5 \\"
     assert second == r"y &  & \ensuremath{-}50 \\"

@@ -341,6 +341,12 @@ def test_a_csv_file_has_a_column_for_every_scalar(result, flight, tmp_path):
     cells = rows[12].split(",")
     assert cells[names.index("raw_joint_position/torso_yaw")] == ""
     assert float(cells[names.index("thrust/l_arm_jet")]) == flight["thrust"][12, 0]
+    export.write_csv(recording.read(result), tmp_path / "few.csv", ["wind"])
+    few = (tmp_path / "few.csv").read_text().splitlines()
+    assert few[0] == "time,wind/x,wind/y,wind/z"
+    assert few[13].split(",") == [cells[names.index(name)] for name in few[0].split(",")]
+    with pytest.raises(recording.Refused, match="no signal `winds`"):
+        export.write_csv(recording.read(result), tmp_path / "none.csv", ["winds"])
 
 
 MAP = """

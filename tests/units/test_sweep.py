@@ -744,7 +744,7 @@ def test_the_cells_of_a_sweep_are_printed_unless_they_are_many(flown, monkeypatc
     head, *body = capsys.readouterr().out.splitlines()
     assert (head.split(",")[:3], len(body)) == (["arms", "speed [m/s]", "flights"], 4)
     assert main([*words, "--paired", "arms", "--format", "latex"]) == 0
-    *_, first, _, _, end = capsys.readouterr().out.splitlines()
+    *_, first, _, _, end, _ = capsys.readouterr().out.splitlines()
     assert (first.split(" & ")[:3], end) == (["5", r"published \ensuremath{-} corrected", "3"], r"\end{tabular}")
 
 

@@ -14,14 +14,18 @@ COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, st
 
 
 def draw(study: xr.Dataset) -> Figure:
-    """Draw fuel on the left and the least clearance of the four jets on the right."""
-    figure = style.figure(3.1)
-    left, right = figure.subplots(1, 2, sharex=True)
+    """Draw fuel, and the least clearance of the four jets with lever arms corrected and as published."""
+    figure = style.figure(5.4)
+    grid = figure.subplot_mosaic("aa;bc", sharex=True, height_ratios=(1.0, 1.1))
+    left, corrected, published = (grid[letter] for letter in "abc")
+    published.sharey(corrected)
     flights = study["flight"].values.tolist()
     colours = dict(zip(dict.fromkeys(map(_without_arms, flights)), itertools.cycle(COLOURS), strict=False))
     for flight in flights:
         one = study.sel(flight=flight)
-        look = {"color": colours[_without_arms(flight)], "linestyle": "--" if "published" in flight else "-"}
+        is_published = flight.endswith("_published")
+        look = {"color": colours[_without_arms(flight)], "linestyle": "--" if is_published else "-"}
+        right = published if is_published else corrected
         fuel = one["fuel"].dropna("time")
         left.plot(fuel["time"], fuel, label=flight.replace("_", " "), **look)
         nearest = 1e3 * one["clearance"].min("jet").dropna("time")
@@ -31,12 +35,14 @@ def draw(study: xr.Dataset) -> Figure:
                 axes.plot(line["time"][-1], line[-1], "X", color=style.VERMILION, markersize=6)
     left.set_ylabel("fuel burnt [l]")
     left.set_ylim(bottom=0.0)
-    right.set_ylabel("exhaust axis to nearest link [mm]")
-    right.axhline(0.0, color=style.GREY, linewidth=0.9)
-    for axes in (left, right):
+    corrected.set_ylabel("exhaust axis to nearest link [mm]")
+    corrected.set_title("lever arms corrected")
+    published.set_title("lever arms as published")
+    for axes in (corrected, published):
+        axes.axhline(0.0, color=style.GREY, linewidth=0.9)
         axes.set_xlabel("time [s]")
-    style.letters((left, right))
-    left.legend(loc="lower right", ncols=2, fontsize="x-small")
+    style.letters((left, corrected, published))
+    left.legend(loc="upper left", ncols=2)
     return figure
 
 

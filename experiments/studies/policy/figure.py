@@ -6,11 +6,18 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from jax_aero.base.controllers import CONTROLLERS
 from jax_aero.figures import style
 from jax_aero.figures.entry import Entry
 
 WINDOW = 20
 """Steps over which the course is averaged."""
+NAMES = {
+    "test1": CONTROLLERS["baseline"].label,
+    "test1_observer": CONTROLLERS["observer_without_model"].label,
+    "test2": CONTROLLERS["aero_aware"].label,
+}
+"""Labels of the experiments."""
 
 
 def draw(study: xr.Dataset) -> Figure:
@@ -24,10 +31,12 @@ def draw(study: xr.Dataset) -> Figure:
     course.set_xlabel("ticks of training, thousands per seed")
     speed = np.linalg.norm(study["wind"], axis=1)
     order = np.argsort(speed)
-    for name, colour in zip(study["flown"].values, style.GROUP_COLOURS, strict=False):
+    for name, colour in zip(map(str, study["flown"].values), style.GROUP_COLOURS, strict=False):
         rewards = study["unseen_reward"].sel(flown=name).values
-        unseen.plot(speed[order], rewards[order], ".", markersize=3, color=colour, label=str(name))
+        unseen.plot(speed[order], rewards[order], ".", markersize=3, color=colour, label=NAMES.get(name, name))
     unseen.set_xlabel("wind [m/s]")
+    course.set_title("training, in winds drawn anew for every step")
+    unseen.set_title("afterwards, in unseen winds")
     for axes in (course, unseen):
         axes.set_ylabel("mean reward")
         axes.legend()

@@ -17,6 +17,7 @@ SHOWN = {
     "spheres and cylinders": style.GREEN,
     "network, shipped": style.VERMILION,
 }
+ARMS = ("lever arms corrected", "lever arms as published")
 SIDES = {"below": "o", "above": "^"}
 CAMPAIGNS = {"exp_2022_03_21": "March", "exp_2022_11_03": "November"}
 SIGMAS = 2.0
@@ -34,6 +35,8 @@ def draw(study: xr.Dataset) -> Figure:
     _sideslip(grid[1, 0], study, "z", "yaw")
     _errors(grid[1, 1], study)
     style.letters(grid.flat)
+    for dash, arms in zip(("-", ":"), ARMS, strict=True):
+        grid[0, 1].plot([], [], dash, color=style.GREY, label=f"model, {arms}")
     handles, labels = grid[0, 1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=6)
     return figure
@@ -103,7 +106,7 @@ def _errors(axes: Axes, study: xr.Dataset) -> None:
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.set_xlabel("rms error at 10 m/s, 95 % interval [N m]")
-    axes.set_title("hovering; red: published arms")
+    axes.set_title(f"hovering; red: {ARMS[1]}")
 
 
 FIGURES = {
