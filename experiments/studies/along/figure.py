@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import xarray as xr
 from matplotlib.figure import Figure
@@ -24,7 +25,7 @@ def draw(study: xr.Dataset) -> Figure:
     for flight in flights:
         one = study.sel(flight=flight)
         is_published = flight.endswith("_published")
-        look = {"color": colours[_without_arms(flight)], "linestyle": "--" if is_published else "-"}
+        look: dict[str, Any] = {"color": colours[_without_arms(flight)], "linestyle": "--" if is_published else "-"}
         right = published if is_published else corrected
         fuel = one["fuel"].dropna("time")
         left.plot(fuel["time"], fuel, label=flight.replace("_", " "), **look)
