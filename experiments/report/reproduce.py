@@ -26,13 +26,14 @@ def main(arguments: Sequence[str]) -> int:
     parser = Parser("reproduce", __doc__)
     parser.add_argument("--all", action="store_true", help="our own results too")
     parser.add_argument("--table", type=Path, metavar="FILE", help="the authors' table of their CFD")
-    parser.add_argument("--skip", metavar="WORD", help="first word of commands that are left out, such as cfd")
+    about = "words of commands that are left out: cfd, or the name of a sweep"
+    parser.add_argument("--skip", metavar="WORD", nargs="+", default=[], help=about)
     given = parser.parse_args(arguments)
 
     def work() -> int:
         failed: dict[str, str] = {}
         for line in [*made(given.table), *commands(ours=given.all)]:
-            if line.startswith("#") or line.split()[1] == given.skip:
+            if line.startswith("#") or not {*line.split()}.isdisjoint(given.skip):
                 print(f"left out: {line}")
             elif reason := run(line + renewal(line)):
                 failed[line] = reason

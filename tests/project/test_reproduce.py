@@ -44,8 +44,8 @@ def test_the_reason_of_a_failure_is_what_the_command_says_last(capfd):
 
 def test_what_is_not_wanted_is_left_out(ran, monkeypatch):
     monkeypatch.setattr(paper.shutil, "which", lambda _: "simpleFoam")
-    reproduce.main(["--skip", "cfd"])
-    assert not [line for line in ran[0] if line.startswith("jax-aero cfd")]
+    reproduce.main(["--skip", "cfd", "convergence"])
+    assert not [line for line in ran[0] if line.startswith(("jax-aero cfd", "jax-aero sweep convergence"))]
     assert "jax-aero study along" in ran[0]
 
 
