@@ -71,7 +71,7 @@ class EnvState(NamedTuple):
 
 
 class _Drawn(NamedTuple):
-    """A configuration, ready for its episodes; or several, stacked."""
+    """A configuration, ready for its episodes."""
 
     scenario: Scenario
     start: FlightState
@@ -104,14 +104,20 @@ class FlightEnv:
         precision = np.dtype(jnp.result_type(float))
         configs = list(drawn) or [load_config(self.task.experiment)]
         ready = [self._prepare(config, precision) for config in configs]
-        shapes = [(jax.tree.structure(one), [jnp.shape(leaf) for leaf in jax.tree.leaves(one)]) for one in ready]
+        numbers, structures = zip(*map(jax.tree.flatten, ready), strict=True)
+        shapes = [(structure, [*map(jnp.shape, of)]) for structure, of in zip(structures, numbers, strict=True)]
         for number, shape in enumerate(shapes):
             if shape != shapes[0]:
                 raise ValueError(
                     f"`drawn[{number}]` differs from `drawn[0]` in more than numbers; expected the same switches"
                 )
-        self._count = len(ready)
-        self._drawn = ready[0] if self._count == 1 else jax.tree.map(lambda *leaves: jnp.stack(leaves), *ready)
+        self._count, self._drawn = len(ready), ready[0]
+        # What is alike in all of them is kept once: a batch of flights computes with it as a constant.
+        self._varied = {
+            place: jnp.stack(leaves)
+            for place, leaves in enumerate(zip(*numbers, strict=True))
+            if not all(np.array_equal(leaf, leaves[0]) for leaf in leaves)
+        }
         robot, plant = ready[0].scenario.plant.robot, ready[0].scenario.plant
         self.action_size = robot.jets.count + robot.n_joints
         self.observation_size = 21 + 2 * robot.n_joints + robot.jets.count
@@ -125,12 +131,15 @@ class FlightEnv:
 
     def reset(self, key: Key[Array, ""]) -> EnvState:
         """Begin an episode in a random wind, with one of the drawn configurations."""
+        return self.start(self.draw_wind(key), jax.random.randint(jax.random.fold_in(key, 2), (), 0, self._count))
+
+    def draw_wind(self, key: Key[Array, ""]) -> Float[Array, "3"]:
+        """Return a wind [m/s] of any horizontal direction; all speeds are equally likely."""
         speed_key, direction_key = jax.random.split(key)
         dtype = self._drawn.start.plant.robot.velocity.dtype
         speed = jax.random.uniform(speed_key, (), dtype, self.task.wind_min, self.task.wind_max)
         angle = jax.random.uniform(direction_key, (), dtype, 0.0, 2.0 * jnp.pi)
-        wind = speed * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
-        return self.start(wind, jax.random.randint(jax.random.fold_in(key, 2), (), 0, self._count))
+        return speed * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
 
     def start(self, wind: Float[Array, "3"], drawn: Int[Array, ""] | int = 0) -> EnvState:
         """Begin an episode in a given wind [m/s], with the drawn configuration of this number."""
@@ -190,7 +199,10 @@ class FlightEnv:
 
     def _pick(self, number: Int[Array, ""]) -> _Drawn:
         """Return the drawn configuration of this number."""
-        return self._drawn if self._count == 1 else jax.tree.map(lambda leaves: leaves[number], self._drawn)
+        leaves, structure = jax.tree.flatten(self._drawn)
+        chosen = [self._varied[place][number] if place in self._varied else leaf for place, leaf in enumerate(leaves)]
+        drawn: _Drawn = jax.tree.unflatten(structure, chosen)
+        return drawn
 
     def _steered(self, scenario: Scenario, action: Float[Array, " u"]) -> MomentumController:
         """Return the controller with an action as its residual."""

@@ -92,6 +92,35 @@ def test_a_pendulum_leans_by_the_ratio_of_drag_and_weight():
     measured("angle of the pendulum [rad]", abs(data.qpos[0] - expected), 1e-6)
 
 
+TWO_TREES = """
+<mujoco><worldbody>
+  <body name="far" pos="9 0 0"><freejoint/><geom type="sphere" size="0.2" mass="5"/></body>
+  <body name="arm"><freejoint/><geom type="sphere" pos="0 0 -0.5" size="0.05" mass="0.4"/>
+    <body name="hand" pos="1 0 0"><joint axis="0 1 0"/><geom type="sphere" pos="0.3 0 0" size="0.05" mass="0.3"/></body>
+  </body>
+</worldbody></mujoco>
+"""
+
+
+def test_a_link_feels_the_velocity_of_its_own_body():
+    """Drag of a ball on a turning hand, by MuJoCo's own velocity of the ball; another tree stands in the scene."""
+    model = mujoco.MjModel.from_xml_string(TWO_TREES)
+    data = mujoco.MjData(model)
+    data.qvel[:] = np.random.default_rng(1).normal(size=model.nv)
+    mujoco.mj_forward(model, data)
+    hand = model.body("hand").id
+    seen = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, hand, seen, 0)
+    angular, linear = seen[:3], seen[3:]
+    ball = dataclasses.replace(BALL, body="hand", centre=(0.3, 0.0, 0.0))
+    loads = air.from_links(model, [ball]).loads(data, jnp.asarray(WIND))
+    arm = data.xmat[hand].reshape(3, 3) @ ball.centre
+    np.testing.assert_allclose(loads.points[0], data.xpos[hand] + arm, rtol=1e-12)
+    flow = WIND - linear - np.cross(angular, arm)
+    expected = 0.5 * air.AIR_DENSITY * 0.02 * np.linalg.norm(flow) * flow
+    np.testing.assert_allclose(loads.forces[0], expected, rtol=1e-9)
+
+
 def test_an_axis_of_a_link_is_a_direction_whatever_its_length():
     model, found = mujoco.MjModel.from_xml_string(PENDULUM), []
     for axis in ((0.0, 0.6, 0.8), (0.0, 3.0, 4.0)):

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
+from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
 from jax_aero.base.features import Aim
@@ -239,18 +240,59 @@ def test_a_task_refuses(what, tmp_path):
             environment(Task(str(tmp_path / "own.toml")))
 
 
-def test_thrusts_are_observed_relative_to_the_limit_of_their_jet():
-    still, aim = np.zeros(3), Aim(np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
-    joints, limits = np.zeros(2), np.array([100.0, 60.0, 200.0])
-    state = TaskState(np.eye(3), np.zeros(8), joints, np.array([50.0, 60.0, 20.0]), still, aim, joints, np.zeros(6))
-    np.testing.assert_allclose(observation(np, state, limits)[19:22], [0.5, 1.0, 0.1])
+def test_the_observation_is_what_its_table_says():
+    """In a drawn state, by rotations of SciPy; the thrusts are over the limit of their jet."""
+    rng = np.random.default_rng(0)
+    base, aimed = Rotation.random(2, rng=rng)
+    velocity, joints, posture, com, wrench = (rng.normal(size=size) for size in (8, 2, 2, 3, 6))
+    aim = Aim(rng.normal(size=3), aimed.as_matrix(), rng.normal(size=3), rng.normal(size=3))
+    limits = np.array([100.0, 60.0, 200.0])
+    state = TaskState(base.as_matrix(), velocity, joints, np.array([50.0, 60.0, 20.0]), com, aim, posture, wrench)
+    in_base = base.inv().apply
+    turned = (aimed.inv() * base).as_rotvec()
+    angle = np.linalg.norm(turned)
+    parts = [
+        in_base([0.0, 0.0, -1.0]),
+        np.sin(angle) / angle * turned,
+        in_base(com - aim.com),
+        in_base(velocity[:3] - aim.velocity),
+        in_base(velocity[3:6] - aim.angular_velocity),
+        joints - posture,
+        0.1 * velocity[6:],
+        [0.5, 1.0, 0.1],
+        in_base(wrench[:3]) / 36.0,
+        in_base(wrench[3:]) / 3.6,
+    ]
+    np.testing.assert_allclose(observation(np, state, limits), np.concatenate(parts), rtol=1e-12, atol=1e-14)
 
 
 def test_an_action_is_thrust_rates_and_joint_velocities():
-    action = limit_action(np, [1.0, -3.0, 0.5], 3, np.float64)
+    action = limit_action(np, [1.0, -3.0, 0.5, 0.25, -0.75], 5, np.float64)
     rates, velocities = steer(Task(thrust_rate=10.0, joint_velocity=2.0), action, 2)
     assert rates.tolist() == [10.0, -10.0]
-    assert velocities.tolist() == [1.0]
+    assert velocities.tolist() == [1.0, 0.5, -1.5]
+
+
+def drawn_in_jax(task, count):
+    return jax.vmap(FlightEnv(task).draw_wind)(jax.random.split(jax.random.key(0), count))
+
+
+def drawn_in_gymnasium(task, count):
+    hover = HoverEnv(task)
+    return [hover.reset(seed=seed)[1]["wind"] for seed in range(count)]
+
+
+@pytest.mark.parametrize("draw", [drawn_in_jax, drawn_in_gymnasium])
+def test_winds_have_all_directions_and_speeds_alike(draw):
+    """Of 200 winds a quarter is in each quadrant and in each quarter of the speeds, within four standard deviations."""
+    winds = np.asarray(draw(Task(wind_min=2.0, wind_max=10.0), 200))
+    assert not winds[:, 2].any()
+    speed, angle = np.linalg.norm(winds, axis=1), np.arctan2(winds[:, 1], winds[:, 0])
+    deviation = np.sqrt(200 * 0.25 * 0.75)
+    for values, least, most in ((angle, -np.pi, np.pi), (speed, 2.0, 10.0)):
+        counts, _ = np.histogram(values, 4, (least, most))
+        assert counts.sum() == 200
+        assert np.abs(counts - 50).max() < 4.0 * deviation
 
 
 def test_a_task_names_what_it_does_not_know():
