@@ -1,5 +1,7 @@
 """Flight of a jet-powered humanoid robot in the wind.
 
+Examples
+--------
 >>> import jax_aero
 >>> config = jax_aero.load("test2", {"simulator.duration": 0.1})
 >>> jax_aero.fly(config).outcome

@@ -1,5 +1,7 @@
 """Aerodynamic forces on links for other simulators: MuJoCo and MJX here, MuJoCo Warp and Newton in `air_warp`.
 
+Examples
+--------
 >>> import mujoco
 >>> from jax_aero import air
 >>> arm = '''<mujoco><worldbody><body name="arm"><joint axis="0 1 0"/>

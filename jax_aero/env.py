@@ -1,5 +1,7 @@
 """The flight as a reinforcement-learning environment of pure functions, which MuJoCo Playground's wrappers train.
 
+Examples
+--------
 >>> import jax
 >>> from jax_aero import env
 >>> hover = env.FlightEnv()

@@ -1,5 +1,7 @@
 """The flight as a Gymnasium environment: `rust.Flight` with the action as its residual, without JAX.
 
+Examples
+--------
 >>> from jax_aero.env_gym import HoverEnv
 >>> hover = HoverEnv()
 >>> obs, info = hover.reset(seed=0)

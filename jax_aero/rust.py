@@ -678,6 +678,8 @@ class _World:
 class Flight:
     """A flight of a configuration, tick by tick.
 
+    Examples
+    --------
     >>> flight = Flight(load_config("test2", {"simulator.duration": 1.0}))
     >>> while not flight.has_ended:
     ...     goes_on = flight.step()

@@ -35,6 +35,8 @@ SERIES = (
     (style.PURPLE, "P", "--"),
 )
 """Colour, marker and dash of each series; the shipped controllers of a challenge are seven."""
+CHARACTERS = 125
+"""Width of the legend."""
 UPRIGHT = SHARE.replace(", ", ",\n")
 """What the first panel shows; the others show figures of merit."""
 
@@ -134,7 +136,8 @@ def _is_geometric(values: pd.Series) -> bool:
 def legend(figure: Figure, axes: Axes, title: str, count: int) -> None:
     """Draw the title above the panels and, below it, the meaning of the colours."""
     handles, labels = axes.get_legend_handles_labels() if count > 1 else ([], [])
-    columns = 2 if count > 3 else count
+    fit = CHARACTERS // (5 + max(map(len, labels), default=1))
+    columns = max(1, min(2 if count > 3 else count, fit))
     drawn = figure.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=7, title=title)
     drawn.set_alignment("left")
     drawn.get_title().set(fontsize=9.5, fontweight="bold")
