@@ -41,6 +41,7 @@ HEADING = re.compile("<th[^>]*>(.*?)</th>", re.DOTALL)
 WIDE_TABLE = 4
 """Least number of columns of a table that a telephone shows as cards."""
 PICTURE = re.compile(r"(?P<shown>!\[[^\]]*\])\((?P<path>\w+\.png)\)")
+ALONE = re.compile(r'<p>(<img alt="([^"]+)"[^>]*>)</p>')
 LINK = re.compile(r"\[(?P<text>[^\]]+)\]\((?P<path>[^):#\s]+)(?P<part>#[^)]*)?\)")
 NOTEBOOKS = sorted(Path(__file__).parent.glob("notebooks/*.ipynb"))
 SITE = {
@@ -169,7 +170,8 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Name the column in every cell of a wide table, each row of which is a card on a narrow screen."""
+    """Name the column in every cell of a wide table, a card on a narrow screen; put its text under a picture, too."""
+    html = ALONE.sub(r"<figure>\1<figcaption>\2</figcaption></figure>", html)
     return TABLE.sub(lambda table: cards(table[0]), html)
 
 

@@ -152,6 +152,11 @@ def test_every_cell_of_a_wide_table_names_its_column():
     assert hooks.on_page_content(narrow) == narrow
 
 
+def test_a_picture_has_its_text_below():
+    image = '<img alt="A fall" class="render" src="fall.png" />'
+    assert hooks.on_page_content(f"<p>{image}</p>") == f"<figure>{image}<figcaption>A fall</figcaption></figure>"
+
+
 def test_the_flight_lab_is_in_the_site_where_it_is_built(tmp_path, monkeypatch):
     monkeypatch.setattr(hooks, "LAB", tmp_path)
     assert "iframe" not in hooks.embedded_lab("look/")
