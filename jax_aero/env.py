@@ -13,7 +13,8 @@ Examples
 An action has one number between −1 and 1 for each jet and joint. It is a residual on the controller's thrust rates and
 joint velocities, or replaces them (`env_task.Task.steering`). An episode ends when the robot is lost; the trainer
 decides on its greatest length, for which `episode_length` gives the task's own, and on restarts. `jax_aero.env_gym` is
-the same task for Gymnasium, based on the crate.
+the same task for Gymnasium, based on the crate, whose channels and fault detection also act: `robot` holds a measured
+wind that jumps, here it does not.
 """
 
 from __future__ import annotations

@@ -101,6 +101,17 @@ def with_batch_rule(one: Callable[..., Any], batch: Callable[..., Any]) -> Calla
     return chosen
 
 
+@custom_vmap
+def any_in_batch(is_so: Bool[Array, ""]) -> Bool[Array, ""]:
+    """Return whether it is so, under `vmap` in any sample: a `cond` by it computes one branch for the whole batch."""
+    return is_so
+
+
+@any_in_batch.def_vmap
+def _any_in_batch(_size: int, _is_batched: Any, is_so: Bool[Array, " b"]) -> tuple[Bool[Array, ""], bool]:
+    return any_in_batch(jnp.any(is_so)), False
+
+
 def map_in_chunks(
     one: Callable[..., Any], inputs: Any, out: Any, order: Int[Array, " k"], count: Int[Array, ""] | int
 ) -> Any:

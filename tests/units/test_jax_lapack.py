@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
 from jax_aero import rust, sim
 from jax_aero.aero.network_card import load_network
 from jax_aero.base.typed import scenario_config
-from jax_aero.body.linalg import CHUNK, invert, solve_positive_definite
+from jax_aero.body.linalg import CHUNK, any_in_batch, invert, solve_positive_definite
 from jax_aero.body.robot import load_robot
 from jax_aero.control import qp
 
@@ -48,6 +49,22 @@ def test_ours_goes_in_pieces():
     assert set(
         lapack_batches(jax.vmap(solve_positive_definite), jnp.zeros((BATCH, 5, 5)), jnp.zeros((BATCH, 5, 2)))
     ) == {CHUNK}
+
+
+def test_a_choice_by_any_of_a_batch_computes_one_branch():
+    """Also under nested batches, with the values and derivatives of each sample; by each sample both are computed."""
+
+    def double(x, decides):
+        return lax.cond(decides(x > 2.0), lambda: jnp.where(x > 2.0, 2.0 * x, x), lambda: x)
+
+    batch, rows = jnp.arange(4.0), jnp.arange(6.0).reshape(2, 3)
+    for decides, is_kept in ((any_in_batch, True), (lambda x: x, False)):
+        found = jax.vmap(jax.value_and_grad(partial(double, decides=decides)))
+        assert ("cond" in str(jax.make_jaxpr(found)(batch))) == is_kept
+        assert [part.tolist() for part in found(batch)] == [[0.0, 1.0, 2.0, 6.0], [1.0, 1.0, 1.0, 2.0]]
+        assert jax.vmap(found)(rows)[1].tolist() == [[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]
+    found = jax.make_jaxpr(jax.vmap(jax.vmap(partial(double, decides=any_in_batch))))(rows)
+    assert "cond" in str(found)
 
 
 EVERYTHING = {

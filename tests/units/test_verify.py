@@ -225,6 +225,21 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert "2 of 3 quantities agree, not random task" in printed
 
 
+def test_of_all_flights_those_that_disagree_fail_and_those_that_jax_lacks_do_not(
+    compared, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(cli.places, "RESULTS", tmp_path)
+    monkeypatch.setattr(cli.places, "names", lambda _: ["take_off", "test1"])
+    assert cli.main(["--all"]) == 0
+    shown = capsys.readouterr()
+    assert "simulator.ground is given" in shown.err
+    assert "not executed by any:" in shown.out
+    # Another controller that is refused is the caller's mistake.
+    assert cli.main(["--all", "--overwrite", "--set", "controller.torque.steps=2"]) == 2
+    compared[1]["tick"] = 2.0
+    assert cli.main(["--all", "--overwrite"]) == 1
+
+
 def test_the_result_of_another_comparison_is_kept(compared, tmp_path, capsys):
     words = ["--config", "test1", "--states", "7", "--out", str(tmp_path)]
     assert cli.main(words) == 0

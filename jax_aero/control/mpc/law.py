@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.body.jets import Engines
+from jax_aero.body.linalg import any_in_batch
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import log_so3, rotate
 from jax_aero.control import qp
@@ -38,7 +39,7 @@ from jax_aero.control.qp import BoxQp, QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
 from jax_aero.rust import MODES
-from jax_aero.types import Array, Setpoint
+from jax_aero.types import Array, Setpoint, where
 
 FACTORISATIONS_MAX = 300
 """Limit of the factorisations of one plan, over all its QPs.
@@ -91,7 +92,8 @@ class PredictiveLaw:
             return self._make(robot, memory, now, model, prepared, last, followed)
 
         # Reverse mode would store some megabytes of intermediate values for every tick.
-        plan: Plan = lax.cond(waits, lambda: last, jax.checkpoint(make, prevent_cse=False))
+        made = jax.checkpoint(make, prevent_cse=False)
+        plan: Plan = lax.cond(any_in_batch(~waits), lambda: where(waits, last, made()), lambda: last)
         memory = memory._replace(plan=plan)
         age = now.time - plan.since
         is_current = (age >= 0.0) & (age <= PLAN_SHARE * sum(self.mpc.structure.durations))
