@@ -43,19 +43,14 @@ def test_every_claim_is_that_of_an_item():
     assert {key for item in ITEMS for key in item.claims} == set(CLAIMS)
 
 
-UNFLOWN = ("robot_settings",)
-"""Sweeps whose claims were written and whose flights are still to be flown."""
-
-
 def test_what_needs_results_is_kept_with_a_verdict_and_nothing_else_is():
-    unflown = {one.key for sweep in UNFLOWN for one in paper.stated(sweep)}
-    assert set(KEPT) == {key for key, claim in CLAIMS.items() if claim.commands} - unflown
+    assert set(KEPT) == {key for key, claim in CLAIMS.items() if claim.commands}
     found = documented()
     outdated = {key for key, finding in found.items() if finding.verdict.kind is Kind.OUTDATED}
     to_fly = {key for key, finding in stored.findings().items() if finding.verdict.kind is Kind.OUTDATED}
-    of_sweeps = {key for key, claim in CLAIMS.items() if claim.is_of_sweep} - stored.findings().keys() - unflown
+    of_sweeps = {key for key, claim in CLAIMS.items() if claim.is_of_sweep} - stored.findings().keys()
     assert outdated == of_sweeps | to_fly
-    assert {found[key].verdict.kind for key in found.keys() - outdated - unflown} <= {
+    assert {found[key].verdict.kind for key in found.keys() - outdated} <= {
         Kind.AGREES, Kind.IN_PART, Kind.DIFFERS, Kind.OUT_OF_REACH, Kind.NOT_COMPARED,
     }  # fmt: skip
 
