@@ -136,14 +136,19 @@ class TaskState(NamedTuple):
 
 
 def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
-    """Return the observation of an agent, of order one: (21 + 2 n + j,).
-
-    Direction of gravity in base axes, rotation from the set-point, errors of position and velocities in base axes, and
-    the observed wrench in base axes.
-    """
-    parts = list(features(xp, state.rotation, state.velocity, state.com, state.aim, state.wrench, thrust_max).values())
-    parts[5:5] = [state.joint_position - state.posture, 0.1 * state.velocity[6:], state.thrust / thrust_max]
-    return xp.concatenate(parts)
+    """Return the observation of an agent (21 + 2 n + j,): all `features`, in their order."""
+    seen = features(
+        xp,
+        state.rotation,
+        state.velocity,
+        state.joint_position - state.posture,
+        state.thrust,
+        state.com,
+        state.aim,
+        state.wrench,
+        thrust_max,
+    )
+    return xp.concatenate(list(seen.values()))
 
 
 def rewards(xp: Any, state: TaskState, action: Any) -> dict[str, Any]:

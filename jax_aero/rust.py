@@ -390,7 +390,7 @@ class Tick:
     momentum_qp, momentum_answer, thrust_rate, joint_velocity_command
         The QP in u and its answer: Ṫ* [N/s] and ṡ* [rad/s].
     residual
-        What is to be added to u, by a policy or as given; zero without a residual, (jets + n,).
+        What is to be added to u, or to replace it, by a policy or as given; zero without one, (jets + n,).
     residual_wrench
         Wrench that a policy observes: what of L̇ the model lacks [N, N m], (6,); zero without a residual.
     joint_acceleration_desired, joint_acceleration_free, torque_gain

@@ -1,4 +1,4 @@
-"""What a policy observes of every robot, in an environment as in the controller (M170).
+"""What a policy observes, in an environment as in the controller (M170).
 
 Functions take `numpy` or `jax.numpy` as an argument.
 """
@@ -27,11 +27,21 @@ def aim_of(setpoint: Any) -> Aim:
     return Aim(setpoint.com_position, rotation, setpoint.com_velocity, rotation @ setpoint.angular_velocity)
 
 
-def features(xp: Any, rotation: Any, velocity: Any, com: Any, aim: Aim, wrench: Any, thrust_max: Any) -> dict[str, Any]:
-    """Return what is observed of every robot, by name, each (3,) in base axes and of order one (M170).
+def features(
+    xp: Any,
+    rotation: Any,
+    velocity: Any,
+    joint_position: Any,
+    thrust: Any,
+    com: Any,
+    aim: Aim,
+    wrench: Any,
+    thrust_max: Any,
+) -> dict[str, Any]:
+    """Return what is observed, by name, each of order one; (3,) in base axes but for joints and thrusts (M170).
 
-    `rotation` is `inertial_from_base`, `velocity` that of the base and its angular velocity, `com` the centre of mass,
-    and `wrench` the observed one about it, in inertial axes.
+    `rotation` is `inertial_from_base`, `velocity` that of the base, its angular velocity and that of the joints,
+    `joint_position` from the posture, `com` the centre of mass, and `wrench` the observed one about it, inertial axes.
     """
     error, force = aim.rotation.T @ rotation, 0.1 * xp.sum(thrust_max)
     return {
@@ -40,6 +50,9 @@ def features(xp: Any, rotation: Any, velocity: Any, com: Any, aim: Aim, wrench: 
         "position": rotation.T @ (com - aim.com),
         "velocity": rotation.T @ (velocity[:3] - aim.velocity),
         "angular_velocity": rotation.T @ (velocity[3:6] - aim.angular_velocity),
+        "joint_position": joint_position,
+        "joint_velocity": 0.1 * velocity[6:],
+        "thrust": thrust / thrust_max,
         "force": rotation.T @ wrench[:3] / force,
         "moment": rotation.T @ wrench[3:] / (0.1 * force),
     }

@@ -39,7 +39,7 @@ class Terms(NamedTuple):
     friction: Float[Array, " n"] | None
     """Friction of the drives that is compensated [N m]; `None` if it is not."""
     residual: tuple[Float[Array, " j"], Float[Array, " n"]] | None
-    """Thrust rates [N/s] and joint velocities [rad/s] to be added to the answer of the law; `None` without any."""
+    """Thrust rates [N/s], joint velocities [rad/s] that are added to the law's or replace them; `None` without any."""
 
 
 class Model(NamedTuple):

@@ -40,7 +40,7 @@ from jax_aero.control.law.momentum_qp import Task
 from jax_aero.control.law.plan import no_plan
 from jax_aero.control.law.policy_card import load_policy
 from jax_aero.control.law.rates import MomentumLaw
-from jax_aero.control.law.residual import Residual, steer
+from jax_aero.control.law.residual import Residual, Steering, steer
 from jax_aero.control.law.setpoint import SetpointParams
 from jax_aero.control.law.tasks import TaskParams, choose_limits, symmetric_pairs, task_params
 from jax_aero.control.law.torque import TorqueParams
@@ -291,9 +291,14 @@ def decide(
     """Compute the part of a tick that is the law's, from the estimates and the model that follows from them."""
     added = None
     memory, followed = params.momentum_law().follow(memory, estimates.time, setpoint)
-    memory, rates = params.law().solve(robot, memory, estimates, model, followed)
+    if isinstance(params.residual, Steering) and params.residual.replaces:
+        # What an environment replaces need not be solved.
+        law = params.momentum_law()
+        rates = law.leave_open(law.prepare(robot, memory, estimates, model, followed))
+    else:
+        memory, rates = params.law().solve(robot, memory, estimates, model, followed)
     if params.residual is not None:
-        known = robot, params.time_step, memory, estimates.state, model, followed.due
+        known = robot, params.time_step, memory, estimates, model, followed.due
         memory, rates, added = steer(params.residual, *known, rates)
     memory, torque = params.torques().solve(memory, estimates.state, model, rates)
     command = Command(

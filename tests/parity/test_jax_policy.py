@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.studies.policy.study import rewards_in_crate
 from jax_aero import rust
 from jax_aero.base.cards import copy_card
 from jax_aero.body.robot import load_robot
@@ -19,11 +20,11 @@ from jax_aero.env import FlightEnv
 from jax_aero.env_task import Task
 from jax_aero.rust import MODES
 from jax_aero.sim import prepare, step
-from jax_aero.train.policy import act, init_policy, residual_of
+from jax_aero.train.policy import act, init_network, residual_of
 from jax_aero.types import State
 
 CARD = Path(__file__).resolve().parents[2] / "configs/policies/hover.json"
-TASK = Task("test1", duration=1.0, ramp=0.1, thrust_rate=100.0, joint_velocity=1.0)
+TASK = Task("test1", "rates", duration=1.0, ramp=0.1, thrust_rate=200.0, joint_velocity=2.0)
 WIND = [3.0, -9.0, 0.0]
 
 
@@ -32,9 +33,21 @@ def robot():
     return load_robot(rust.load_config("test1")["robot"])
 
 
-def test_both_act_alike(x64, measured, robot):
+@pytest.fixture(scope="module")
+def drawn(robot, tmp_path_factory):
+    """Card of a policy that replaces the law: drawn weights of two hidden layers and a linear part, all features."""
+    policy = init_network(jax.random.key(2), 71, (5, 3), 27, 0.3)
+    policy = replace(policy, direct=0.03 * jax.random.normal(jax.random.key(3), policy.direct.shape))
+    path = tmp_path_factory.mktemp("card") / "drawn.json"
+    save_policy(path, residual_of(policy, TASK, robot.jets.count), robot, description="Drawn.", training={})
+    return path
+
+
+@pytest.mark.parametrize("replaces", [False, True])
+def test_both_act_alike(replaces, x64, measured, robot, drawn):
     """Two ticks in drawn states: the second one has an observed wrench."""
-    config = rust.load_config("test1_policy", {"controller.channels.jump": False})
+    card = {"controller.policy": {"card": drawn if replaces else CARD}}
+    config = rust.load_config("test1", {"controller.channels.jump": False, **card})
     scenario, _ = prepare(config)
     controller, crate = scenario.controller, rust.Controller(config)
     tick = jax.jit(controller.step)
@@ -66,31 +79,28 @@ def test_both_act_alike(x64, measured, robot):
         assert np.abs(ours).max() > 1.0
 
 
-def test_a_policy_flies_in_the_crate_as_in_the_environment(x64, measured, robot):
-    """In the environment it is a function of the observation, in crate and twin a part of the controller."""
-    trained = load_policy(CARD, robot)
-    env, ticks = FlightEnv(TASK), 60
-    assert (float(trained.thrust_rate), float(trained.joint_velocity)) == (TASK.thrust_rate, TASK.joint_velocity)
+def test_a_policy_flies_in_the_crate_as_in_the_environment(x64, measured, robot, drawn):
+    """In the environment it is a function of the observation, in crate and twin the law of the controller."""
+    trained, ticks = load_policy(drawn, robot), 40
+    env = FlightEnv(TASK)
 
     def fly_on(state, _):
         after = env.step(state, act(jnp, trained.policy, state.obs))
-        return after, state.data.flight.plant.robot.base_position
+        return after, (state.data.flight.plant.robot.base_position, after.reward)
 
-    _, ours = jax.jit(lambda state: jax.lax.scan(fly_on, state, length=ticks))(env.start(jnp.array(WIND)))
-    config = TASK.episode(rust.load_config(TASK.experiment, {"controller.policy": {"card": CARD}}))
+    _, (ours, earned) = jax.jit(lambda state: jax.lax.scan(fly_on, state, length=ticks))(env.start(jnp.array(WIND)))
+    config = TASK.episode(rust.load_config(TASK.experiment, {"controller.policy": {"card": drawn}}))
     config = {**config, "wind": {**config["wind"], "velocity": WIND}}
-    law = {key: value for key, value in config["controller"].items() if key != "policy"}
-    theirs, without = (rust.fly(one) for one in (config, {**config, "controller": law}))
+    theirs = rust.fly(config)
     scenario, begun = prepare(config)
 
     def fly_twin(state):
         return jax.lax.scan(lambda one, tick: step(scenario, one, tick), state, jnp.arange(ticks))[1]
 
     twin = jax.jit(fly_twin)(begun)
-    moved = np.abs(theirs["base_position"][:ticks] - without["base_position"][:ticks]).max()
-    assert moved > 1e-3
     # The loop multiplies roundings of 1e-12 by a hundred within half a second.
     measured("environment: base [m]", np.abs(ours - theirs["base_position"][:ticks]).max(), 1e-9)
+    measured("environment: reward", np.abs(earned - np.array(rewards_in_crate(config, TASK)[:ticks])).max(), 1e-9)
     measured("twin: base [m]", np.abs(twin["base_position"] - theirs["base_position"][:ticks]).max(), 1e-9)
     measured("twin: thrust rates [N/s]", np.abs(twin["thrust_rate"] - theirs["thrust_rate"][:ticks]).max(), 1e-5)
 
@@ -117,12 +127,12 @@ def test_a_residual_that_is_no_number_is_named(x64, robot):
 
 
 def test_a_card_is_read_as_it_was_written(x64, tmp_path, robot):
-    policy = init_policy(jax.random.key(1), 27, 4)
+    policy = init_network(jax.random.key(1), 71, (4, 3), 27, 1.0)
     written = residual_of(policy, TASK, robot.jets.count)
     card = save_policy(tmp_path / "own.json", written, robot, description="Ours.", training={"seed": 1})
     read = load_policy(tmp_path / "own.json", robot)
-    assert card["architecture"] == {"hidden": 4}
-    assert read.features == written.features
+    assert card["architecture"] == {"hidden": [4, 3]}
+    assert (read.features, read.replaces) == (written.features, True)
     np.testing.assert_array_equal(read.scale, written.scale)
     for ours, theirs in zip(jax.tree.leaves(read.policy), jax.tree.leaves(policy), strict=True):
         np.testing.assert_array_equal(ours, np.asarray(theirs, np.float32))
@@ -135,7 +145,8 @@ REFUSED = {
     "output.thrust_rate": -1.0,
     "inputs.features": ["gravity", "gravity"],
     "inputs.scale": [1.0],
-    "architecture.hidden": 0,
+    "output.replaces": 1,
+    "architecture.hidden": [],
     "format": "flight-aero-network",
     "weights.sha256": "00",
 }

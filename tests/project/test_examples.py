@@ -7,8 +7,8 @@ import pytest
 
 from tests.project.test_docs import DOCS, ROOT
 
-LONG = {"air_cost", "residual"}
-"""Programs that train or measure for minutes."""
+LONG = {"air_cost"}
+"""Programs that measure for minutes."""
 PROGRAMS = {path.stem: path for path in sorted((DOCS / "examples").glob("*.py"))}
 
 

@@ -61,8 +61,8 @@ def test_every_requirement_is_pinned_by_version_alone():
     pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower() for line in lock}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    # The example of `learn` and the solvers of `bench` are not among the pinned packages.
-    wanted = [*project["dependencies"], *(one for extra in extras.keys() - {"learn", "bench"} for one in extras[extra])]
+    # The solvers of `bench` are not among the pinned packages.
+    wanted = [*project["dependencies"], *(one for extra in extras.keys() - {"bench"} for one in extras[extra])]
     names = {re.split(r"[\[<>=!~ ]", requirement)[0].lower() for requirement in wanted} - {"jax-aero"}
     assert names <= pinned
 

@@ -1,6 +1,6 @@
-"""The study of a learnt residual: policies are judged by flights of the crate, beside the controller alone."""
+"""The study of learnt hovering: what is judged, drawn and stored; PPO, on a mass in place of a robot."""
 
-from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -8,47 +8,55 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from experiments.studies.policy import ppo
 from experiments.studies.policy import study as policy
+from jax_aero import rust
 from jax_aero.base import places
+from jax_aero.base.cards import copy_card
 from jax_aero.base.terminal import ConfigError
+from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task
 from jax_aero.figures.catalogue import FIGURES
-from jax_aero.train.policy import Curve, TrainingResult, init_policy
-
-pytestmark = pytest.mark.usefixtures("x64")
+from jax_aero.train.policy import Row, TrainingResult, fly_episodes, init_network
+from tests.train.test_policy import Spring
 
 FILE = """
 title = "Short"
-experiment = "test1"
-compared = ["test2"]
 duration = 0.05
 seeds = [3, 4]
-winds = 2
-training = { steps = 2, batch = 2, ticks = 5, hidden = 2 }
+starts = 2
+episodes = 64
+judge_every = 2
+gradients = { steps = 3, hidden = [2] }
 """
 
 
-def trained(_, settings, seeds, **where):
-    """In place of a training: the first policy does nothing, the second one turns every joint."""
-    assert where["checkpoint"].suffix == ".part"
-    both = jax.vmap(lambda key: init_policy(key, 27, settings.hidden))(jax.vmap(jax.random.key)(jnp.array(seeds)))
-    both = replace(both, output_bias=both.output_bias.at[1].set(1.0))
-    return TrainingResult(both, (Curve((0.5, 0.6), (0, 1)),) * settings.steps)
+class Trainer:
+    """In place of a training: three steps of half a minute, with a judgement at the second."""
+
+    def train(self, seed, *, checkpoint, digest, on_step):
+        del digest
+        assert checkpoint.suffix == ".part"
+        drawn = init_network(jax.random.key(seed), 71, (2,), 27, 1.0)
+        rows = [Row(0.5, 0.0, 30.0, 40.0)] * 3
+        for step in (1, 2, 3):
+            on_step(step, drawn, rows[:step])
+        return TrainingResult(drawn, tuple(rows))
 
 
-def test_policies_are_judged_beside_the_controller_alone(tmp_path, monkeypatch):
+def test_policies_are_judged_on_the_way_and_at_the_end(tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path / "results")
-    monkeypatch.setattr(policy, "train", trained)
-    monkeypatch.setattr(policy, "FlightEnv", lambda task: task)
+    monkeypatch.setattr(policy, "FlightEnv", lambda task, drawn: (task, drawn))
+    monkeypatch.setattr(policy.PolicyConfig, "trainer", lambda *_: Trainer())
+    monkeypatch.setattr(policy, "judge_of", lambda _: lambda _, n: (np.linspace(0.9, 1.0, n), np.arange(n) > 0))
     (tmp_path / "short.toml").write_text(FILE)
     document = policy.STUDY.run(str(tmp_path / "short.toml"))
-    found = document["summary"]
-    alone, still, turning = (found[f"mean reward, {key}"] for key in ("test1", "seed 3", "seed 4"))
-    assert still == alone
-    assert turning < alone
-    assert found["gain"] == pytest.approx(0.5 * (turning - alone))
-    assert found["gain, 95 % interval, low"] <= found["gain"] <= found["gain, 95 % interval, high"]
-    assert found["flights left out of steps"] == 2
+    found = document["summary"]["seed 4"]
+    assert found["reward"] == pytest.approx(0.95)
+    assert (found["fallen"], found["processor [min]"], found["wall [min]"]) == (1, 1.5, 2.0)
+    assert found["processor to a reward of 0.9 [min]"] == 1.0
+    copy_card(places.RESULTS / "policy/short/seed_4.json", tmp_path / "own.json")
+    rust.load_config("test1", {"controller.policy": {"card": tmp_path / "own.json"}})
     figure, hashes = FIGURES["policy"].draw_from_results(places.RESULTS / "flight", ["short"])
     assert isinstance(figure, Figure)
     assert hashes == {"short": document["config_digest"]}
@@ -64,18 +72,87 @@ def test_winds_are_those_of_the_task():
     assert not winds[:, 2].any()
 
 
-def test_the_interval_covers_winds_and_seeds():
-    """Seeds that agree leave the spread of the winds, and the other way round."""
-    rng = np.random.default_rng(0)
-    by_wind = np.tile(rng.normal(size=100), (3, 1))
-    low, high = policy.interval(by_wind)
-    assert high - low == pytest.approx(4 * by_wind.std() / 10, rel=0.1)
-    low, high = policy.interval(np.repeat([[0.0], [1.0], [2.0]], 100, axis=1))
-    assert (low, high) == (0.0, 2.0)
+def test_starts_of_training_and_judgement_differ():
+    config = policy.STUDY.read("hover")[1]
+    assert config.task == Task("test1", "rates", thrust_rate=200.0, joint_velocity=2.0)
+    seeds = policy.TRAINING, policy.JUDGEMENT
+    starts = [one["simulator"]["initial"] for seed in seeds for one in config.drawn(seed, 2)]
+    for name, width in (("joint_position", 0.02), ("base_rpy_deg", 1.0), ("base_velocity", 0.05), ("thrust", 2.0)):
+        drawn = np.array([start[name] for start in starts])
+        assert len(np.unique(drawn[:, 0])) == 4
+        assert np.abs(drawn - drawn[0]).max() <= 2.0 * width
 
 
-def test_a_seed_is_named_once(tmp_path):
-    (tmp_path / "short.toml").write_text(FILE.replace("[3, 4]", "[3, 3]"))
-    with pytest.raises(ConfigError, match=r"`seeds` is .*; expected each seed once"):
+def test_a_flight_of_the_crate_earns_what_it_earns_in_the_environment():
+    task = Task("test1", duration=0.2, ramp=0.05)
+    hover = HoverEnv(task)
+    hover.reset(options={"wind": [3.0, -9.0, 0.0]})
+    config = hover._config
+    earned = [hover.step(np.zeros(27, np.float32))[1] for _ in range(20)]
+    assert policy.rewards_in_crate(config, task) == earned
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("seeds = [3, 3]", r"`seeds` is .*; expected each seed once"),
+        ("episodes = 65", "`episodes` is 65; expected a multiple of 64"),
+        ("ppo = { steps = 3 }", "`ppo` is .given.; expected a table where there is no `gradients`"),
+    ],
+)
+def test_a_configuration_is_refused_by_its_key(change, message, tmp_path):
+    key = change.split()[0]
+    kept = [line for line in FILE.splitlines() if not line.startswith(f"{key} ")]
+    (tmp_path / "short.toml").write_text("\n".join([*kept[:2], change, *kept[2:]]))
+    with pytest.raises(ConfigError, match=message):
         policy.STUDY.read(str(tmp_path / "short.toml"))
-    assert policy.STUDY.read("hover")[1].task == Task(thrust_rate=100.0, joint_velocity=1.0)
+
+
+# --- PPO
+
+SETTINGS = ppo.Settings(steps=60, batch=8, ticks=20, learning_rate=0.01, hidden=(4,), discount=0.9, parts=2)
+
+
+def learnt_of(deviations):
+    """Return a policy and a value of zero."""
+    zero_policy, zero_value = (init_network(jax.random.key(1), 24, (2,), outputs, 0.0) for outputs in (2, 1))
+    return ppo.Learnt(zero_policy, jnp.log(jnp.array(deviations)), zero_value)
+
+
+def test_ppo_holds_a_mass_against_a_force(tmp_path):
+    found = ppo.trainer(Spring(), SETTINGS).train(0, checkpoint=tmp_path / "c", digest="a")
+    winds, numbers = jnp.array([[-0.9, 0.0, 0.0], [0.9, 0.0, 0.0]]), jnp.zeros(2, jnp.int32)
+    nothing = jax.tree.map(jnp.zeros_like, found.policy)
+    rewards, without = (fly_episodes(Spring(), one, winds, numbers)[0] for one in (found.policy, nothing))
+    assert (rewards > without + 0.1).all()
+
+
+def test_an_advantage_is_the_sum_of_surprises_until_the_loss():
+    """Values of zero leave rewards; the second of four ticks is that of the loss."""
+    obs, reward = jnp.zeros((4, 24)), jnp.array([1.0, 2.0, 4.0, 8.0])
+    seen = ppo.Seen(obs, obs, jnp.zeros((4, 2)), reward, jnp.array([0.0, 1.0, 0.0, 0.0]))
+    decay = SETTINGS.discount * SETTINGS.trace
+    samples = ppo._judge(SETTINGS, learnt_of([1.0, 1.0]), seen)
+    np.testing.assert_allclose(samples.advantage, [1.0 + decay * 2.0, 2.0, 4.0 + decay * 8.0, 8.0], rtol=1e-6)
+    assert samples.weight.tolist() == [1.0, 1.0, 0.0, 0.0]
+
+
+def test_the_gain_of_an_action_ends_at_the_clip():
+    """A likelier good action, and a rarer bad one, gain up to the clip; the others lose without bound."""
+    learnt = learnt_of([1.0, 1.0])
+    here = ppo.log_likelihood(learnt, jnp.zeros(24), jnp.zeros(2))
+
+    def cost(ratio, advantage):
+        one = ppo.Sample(jnp.zeros(24), jnp.zeros(2), here - jnp.log(ratio), advantage, 0.0, 1.0)
+        return float(ppo._cost(SETTINGS, learnt, jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], one)))
+
+    found = [cost(ratio, advantage) for ratio, advantage in ((3.0, 1.0), (0.3, 1.0), (0.3, -1.0), (3.0, -1.0))]
+    np.testing.assert_allclose(found, [-1.2, -0.3, 0.8, 3.0], rtol=1e-5)
+
+
+def test_a_likelihood_is_that_of_a_normal_distribution():
+    learnt = learnt_of([0.5, 2.0])
+    found = partial(ppo.log_likelihood, learnt, jnp.zeros(24))
+    # One standard deviation in the first, two in the second: ½ (1 + 4).
+    assert float(found(jnp.zeros(2)) - found(jnp.array([0.5, -4.0]))) == pytest.approx(2.5)
+    assert float(found(jnp.zeros(2))) == pytest.approx(0.0, abs=1e-6)  # log 0.5 + log 2

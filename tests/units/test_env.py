@@ -1,8 +1,6 @@
 """The environments: Gymnasium's checks, the controller's own flight, and that both environments set one task."""
 
-import ast
 import copy
-import importlib
 import pickle
 import re
 import subprocess
@@ -20,14 +18,14 @@ from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
 from jax_aero.base.features import Aim
-from jax_aero.base.places import CONFIGS, HOME
+from jax_aero.base.places import CONFIGS
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task, TaskState, limit_action, observation, rewards, steer
 from jax_aero.rust import load_config
 from tests.measurements import measured
 
-EXAMPLE, EXPERIMENTS = HOME / "docs/examples/residual.py", CONFIGS / "experiments"
+EXPERIMENTS = CONFIGS / "experiments"
 
 WIND = [3.0, -9.0, 0.0]
 
@@ -425,26 +423,6 @@ def test_the_reward_falls_with_angle_distance_and_effort():
     assert found == pytest.approx({"attitude": 0.5 / np.e, "position": 0.5 / np.e, "effort": -0.00625}, rel=1e-12)
 
 
-def test_the_example_imports_names_that_exist():
-    nodes = ast.walk(ast.parse(EXAMPLE.read_text(encoding="utf-8")))
-    ours = [node for node in nodes if isinstance(node, ast.ImportFrom) and str(node.module).startswith("jax_aero")]
-    assert ours
-    for node in ours:
-        module = importlib.import_module(str(node.module))
-        assert all(hasattr(module, alias.name) for alias in node.names)
-
-
-def test_the_example_trains_and_compares():
-    """Where the extra `learn` is installed; a process of its own, as it forks before JAX starts threads."""
-    pytest.importorskip("skrl", reason="skrl is not installed: pip install 'skrl[jax]'")
-    short = ["--ticks", "2000", "--environments", "2", "--winds", "2"]
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLE), *short], capture_output=True, text=True, check=False, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    assert "mean reward in 2 unseen winds" in done.stdout
-
-
 # --- training
 
 
@@ -516,6 +494,9 @@ def test_an_episode_draws_a_robot_in_both_environments():
         assert isinstance(info["wind"], np.ndarray)
         scales.add(hover._config["disturbances"]["model_error"]["mass_scale"])
     assert scales == {1.0, 1.2}
+    starts = [load_config("test1", {"simulator.initial.thrust": [thrust] * 4}) for thrust in (90.0, 100.0)]
+    begun = jax.jit(jax.vmap(FlightEnv(drawn=starts).start))(jnp.zeros((2, 3)), jnp.array([1, 0]))
+    assert begun.data.flight.plant.jets.thrust[:, 0].tolist() == [100.0, 90.0]
     with pytest.raises(ValueError, match=r"`drawn\[1\]` differs from `drawn\[0\]` in more than numbers"):
         FlightEnv(drawn=[drawn[0], load_config("mk3_hover")])
 

@@ -1,151 +1,231 @@
-"""A residual on a controller, learnt by gradients through short flights, judged in winds that training did not use.
+"""Hovering learnt from nothing: a policy replaces the controller's law, and is judged by whole unseen episodes.
 
-A configuration names the experiment whose controller hovers in an unknown wind, the effect of an action, and the
-settings of the training; one policy is trained per seed. The crate then flies one episode per wind: with the
-controller alone, with every policy, and with the controllers of other experiments. An interrupted run is resumed
-by the same command. Compilation takes minutes, once if JAX_COMPILATION_CACHE_DIR is set.
+A configuration names the experiment whose robot hovers in an unknown wind, the effect of an action, and the settings of
+a training, by gradients through the flight or by PPO; one policy is trained per seed, in single precision. It is judged
+in episodes of other winds and starts than those of the training: in some while it is trained, in all at the end. An
+interrupted run is resumed by the same command.
 """
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import jax
+import jax.numpy as jnp
 import msgspec
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from experiments.studies.policy import ppo
 from jax_aero import rust
 from jax_aero.base import plain, tables
 from jax_aero.base.cards import card_text
+from jax_aero.base.features import Aim
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.robot import load_robot
 from jax_aero.control.law.policy_card import make_card
 from jax_aero.control.law.residual import Policy
 from jax_aero.env import FlightEnv
-from jax_aero.env_gym import HoverEnv
-from jax_aero.env_task import Task
-from jax_aero.results.identity import Identity
+from jax_aero.env_task import Steering, Task, TaskState, is_lost, rewards
 from jax_aero.results.study import Findings, Study
 from jax_aero.results.work import Work
-from jax_aero.train.policy import Settings, act, residual_of, train
+from jax_aero.sim.plant import COMPILER_OPTIONS
+from jax_aero.sweep.perturbation import Perturbation
+from jax_aero.train import policy
+from jax_aero.train.policy import Row, Settings, Trainer, TrainingResult, fly_episodes, residual_of
 
-SEED = 2**40
-"""Seed of the winds in which policies are judged."""
-DRAWS = 10_000
-"""Number of draws of a bootstrapped interval."""
+TRAINING, JUDGEMENT = 2**41, 2**40
+"""Seeds of starts of training and judgement, and of the winds of the latter."""
+SOON = 0.9
+"""Reward whose time is recorded."""
+CHUNK = 64
+"""Episodes that are judged at once, and all of them while a policy is trained."""
 
 
 class PolicyConfig(tables.Table, frozen=True):
     """One file of `experiments/studies/policy/`."""
 
     title: str
-    experiment: str
+    gradients: Settings | None = None
+    """Training by gradients through the flight."""
+    ppo: ppo.Settings | None = None
+    """Training by proximal policy optimisation instead."""
+    experiment: str = "test1"
     """Robot, simulator and controller."""
-    training: Settings
-    compared: tuple[str, ...] = ()
-    """Experiments whose controllers fly the same episodes without a policy."""
+    steering: Steering = "rates"
+    start: Perturbation = Perturbation()
+    """Half widths of the distributions of starts, and of whatever else an episode draws."""
     duration: tables.Positive = 10.0
     """Duration of an episode [s]."""
     wind_max: tables.Positive = 12.0
     """Greatest wind [m/s]."""
-    thrust_rate: tables.Positive = 100.0
+    thrust_rate: tables.Positive = 200.0
     """Thrust rate of an action of 1 [N/s]."""
-    joint_velocity: tables.Positive = 1.0
+    joint_velocity: tables.Positive = 2.0
     """Joint velocity of an action of 1 [rad/s]."""
-    seeds: Annotated[tuple[tables.Seed, ...], msgspec.Meta(min_length=1)] = (0, 1, 2)
-    winds: tables.Count = 64
-    """Winds in which policies are judged."""
+    seeds: Annotated[tuple[tables.Seed, ...], msgspec.Meta(min_length=1)] = (0, 1, 2, 3, 4)
+    starts: tables.Count = 128
+    """Starts that are drawn for the training; each episode draws one of them, and its wind."""
+    episodes: tables.Count = 256
+    """Episodes in which a policy is judged at the end."""
+    judge_every: tables.Count = 100
+    """Steps of the training between two judgements."""
 
     def __post_init__(self) -> None:
         if len(set(self.seeds)) < len(self.seeds):
             raise ConfigError.of("seeds", self.seeds, "each seed once")
+        if (self.gradients is None) == (self.ppo is None):
+            raise ConfigError.of("ppo", "given" if self.ppo else "absent", "a table where there is no `gradients`")
+        if self.episodes % CHUNK:
+            raise ConfigError.of("episodes", self.episodes, f"a multiple of {CHUNK}")
 
     @property
     def task(self) -> Task:
         """Return the task."""
         return Task(
             self.experiment,
+            self.steering,
             duration=self.duration,
             wind_max=self.wind_max,
             thrust_rate=self.thrust_rate,
             joint_velocity=self.joint_velocity,
         )
 
+    def trainer(self, env: FlightEnv) -> Trainer:
+        """Return the training of an environment."""
+        if self.gradients is not None:
+            return policy.trainer(env, self.gradients)
+        assert self.ppo is not None
+        return ppo.trainer(env, self.ppo)
+
+    def drawn(self, seed: int, count: int) -> list[dict[str, Any]]:
+        """Return configurations with other starts."""
+        config = rust.load_config(self.experiment)
+        robot, drawn = rust.Robot(config["robot"]), [copy.deepcopy(config) for _ in range(count)]
+        for repeat, one in enumerate(drawn):
+            self.start.apply(one, seed, repeat, robot)
+        return drawn
+
+
+class Judged(tables.Table, frozen=True):
+    """A judgement."""
+
+    step: int
+    minutes: float
+    """Processor time of the training [min]."""
+    reward: float
+    """Mean of a tick."""
+    survived: float
+    """Share of the episodes."""
+
+
+Judge = Callable[[Policy, int], tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""Function from a policy and a number of episodes to their mean rewards and whether they survive."""
+
 
 def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
     """Train, resuming an interrupted run, and judge."""
-    task, training, seeds = config.task, config.training, config.seeds
-    flights = {base: rust.load_config(base) for base in (task.experiment, *config.compared)}
-    digests = {key: rust.config_digest(one) for key, one in flights.items()}
-    work = work.narrowed(Identity.of(digests))
-    started = time.process_time()
-    with jax.enable_x64(True):
-        found = train(
-            FlightEnv(task),
-            training,
-            seeds,
-            checkpoint=work.path("steps"),
-            digest=work.of,
-        )
-    trained = time.process_time() - started
-    winds = draw_winds(SEED, config.winds, task)
-    policies = {f"seed {seed}": found.policy(number) for number, seed in enumerate(seeds)}
-    rewards = {task.experiment: mean_rewards(task, winds)}
-    rewards |= {key: mean_rewards(task, winds, policy) for key, policy in policies.items()}
-    rewards |= {other: mean_rewards(replace(task, experiment=other), winds) for other in config.compared}
-    gains = np.array([rewards[key] - rewards[task.experiment] for key in policies])
-    low, high = interval(gains)
-    summary: dict[str, Any] = {f"mean reward, {key}": float(np.mean(values)) for key, values in rewards.items()}
-    summary |= {
-        "gain": float(gains.mean()),
-        "gain, 95 % interval, low": low,
-        "gain, 95 % interval, high": high,
-        "share of flights that are better": float(np.mean(gains > 0.0)),
-        "ticks of training, per seed": training.steps * training.batch * training.ticks,
-        "flights left out of steps": int(sum(sum(curve.left_out) for curve in found.curves)),
-    }
-    timings = {
-        "processor, training": trained,
-        "processor, flights of judgement": time.process_time() - started - trained,
-    }
+    task, seeds = config.task, config.seeds
+    flight = rust.load_config(task.experiment)
+    with jax.enable_x64(False):
+        env = FlightEnv(task, config.drawn(TRAINING, config.starts))
+        judge, trainer = judge_of(config), config.trainer(env)
+        runs = [_train(trainer, seed, config, judge, work) for seed in seeds]
+        found = [judge(run.policy, config.episodes) for run, _ in runs]
+    earned, survived = (np.array(of) for of in zip(*found, strict=True))
+    summary: dict[str, Any] = {}
     texts: dict[str, str | bytes] = {}
-    robot = load_robot(flights[task.experiment]["robot"])
-    for number, seed in enumerate(seeds):
+    robot = load_robot(flight["robot"])
+    for seed, of, alive, (run, judged) in zip(seeds, earned, survived, runs, strict=True):
+        soon = [one.minutes for one in judged if one.reward >= SOON]
+        summary[f"seed {seed}"] = figures = {
+            "reward": float(of.mean()),
+            "fallen": int(np.sum(alive < 1.0)),
+            "processor [min]": sum(row.processor for row in run.rows) / 60.0,
+            "wall [min]": sum(row.wall for row in run.rows) / 60.0,
+            f"processor to a reward of {SOON} [min]": soon[0] if soon else None,
+        }
         card, weights = make_card(
             f"seed_{seed}",
-            residual_of(found.policy(number), task, robot.jets.count),
+            residual_of(run.policy, task, robot.jets.count),
             robot,
             description=f"{config.title}: {task.experiment}, seed {seed}.",
             training={
                 "task": dataclasses.asdict(task),
-                "settings": plain.to_builtins(training),
+                "settings": plain.to_builtins(config.gradients or config.ppo),
                 "seed": seed,
-                "flight": digests[task.experiment],
-                "mean_reward": float(rewards[f"seed {seed}"].mean()),
-                "mean_reward_without": float(rewards[task.experiment].mean()),
+                "flight": rust.config_digest(flight),
+                **figures,
             },
         )
         texts |= {f"seed_{seed}.json": card_text(card), f"seed_{seed}.safetensors": weights}
-    dataset = to_dataset(seeds, [curve.reward for curve in found.curves], winds, rewards, found.policies)
-    dataset.attrs["ticks_per_step"] = training.batch * training.ticks
-    return Findings(config.title, dataset, summary, flights=flights, timings=timings, texts=texts)
+    dataset = to_dataset(config, [of for _, of in runs], earned, survived)
+    return Findings(config.title, dataset, summary, flights={task.experiment: flight}, texts=texts)
 
 
-STUDY = Study(
-    "policy",
-    __doc__,
-    PolicyConfig,
-    compute,
-    ("hover",),
-    backend="jax",
-    resumes=True,
-)
+def judge_of(config: PolicyConfig) -> Judge:
+    """Return the judge of a configuration's policies."""
+    env = FlightEnv(config.task, config.drawn(JUDGEMENT, config.episodes))
+    winds = jnp.asarray(draw_winds(JUDGEMENT, config.episodes, config.task))
+    fly = jax.jit(lambda *of: fly_episodes(env, *of), compiler_options=COMPILER_OPTIONS)
+
+    def judge(policy: Policy, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        numbers = np.arange(count).reshape(-1, CHUNK)
+        parts = [fly(policy, winds[chunk], jnp.asarray(chunk)) for chunk in numbers]
+        earned, survived = (np.concatenate(of, dtype=np.float64) for of in zip(*parts, strict=True))
+        return earned, survived
+
+    return judge
+
+
+def _train(
+    trainer: Trainer, seed: int, config: PolicyConfig, judge: Judge, work: Work
+) -> tuple[TrainingResult, list[Judged]]:
+    """Train the policy of a seed, and judge it on the way."""
+    job = f"judged {seed}"
+    judged = [tables.convert(one, Judged, job) for one in work.read_json(job) or []]
+
+    def on_step(step: int, trained: Policy, rows: list[Row]) -> None:
+        if step % config.judge_every:
+            return
+        earned, survived = judge(trained, CHUNK)
+        minutes = sum(row.processor for row in rows) / 60.0
+        judged[:] = [one for one in judged if one.step < step]
+        judged.append(Judged(step=step, minutes=minutes, reward=earned.mean(), survived=survived.mean()))
+        work.write_json(job, [plain.to_builtins(one) for one in judged])
+        print(f"seed {seed}, step {step}, {minutes:.1f} min: reward {earned.mean():.3f}, {survived.mean():.0%} survive")
+
+    run = trainer.train(seed, checkpoint=work.path(f"seed {seed}"), digest=work.of, on_step=on_step)
+    return run, judged
+
+
+def rewards_in_crate(config: dict[str, Any], task: Task) -> list[float]:
+    """Return the reward of every tick of an episode that the crate flies alone; it is shorter if the robot is lost."""
+    flight, robot, fall = (
+        rust.Flight(config),
+        rust.Robot(config["robot"]),
+        SimpleNamespace(**config["simulator"]["fall"]),
+    )
+    effects = np.repeat([task.thrust_rate, task.joint_velocity], [len(robot.jet_names), len(robot.joint_names)])
+    nothing, still, found = np.zeros(0), np.zeros(3), list[float]()
+    first = flight.truth.state
+    aim = Aim(rust.dynamics(robot, first).com_position, np.asarray(first.base_rotation), still, still)
+    for _ in range(task.ticks(config["controller"]["time_step"])):
+        goes_on, now = flight.step(), flight.truth.state
+        com = rust.dynamics(robot, now).com_position
+        seen = TaskState(np.asarray(now.base_rotation), nothing, nothing, nothing, com, aim, nothing, nothing)
+        if not goes_on or is_lost(np, seen, fall):
+            break
+        found.append(float(sum(rewards(np, seen, flight.last.residual / effects).values())))
+    return found
+
+
+STUDY = Study("policy", __doc__, PolicyConfig, compute, ("hover",), backend="jax", resumes=True)
 main = STUDY.main
 
 
@@ -156,72 +236,25 @@ def draw_winds(seed: int, count: int, task: Task) -> NDArray[np.float64]:
     return np.column_stack([speed * np.cos(angle), speed * np.sin(angle), np.zeros(count)])
 
 
-def mean_rewards(
-    task: Task,
-    winds: NDArray[np.float64],
-    policy: Policy | None = None,
-) -> NDArray[np.float64]:
-    """Return the mean reward of a tick, at most 1, of one flight of the crate in each of the winds (w, 3) [m/s]."""
-    env, found = HoverEnv(task), []
-    nothing = np.zeros(env.action_space.shape or ())
-    for wind in winds:
-        obs, _ = env.reset(options={"wind": wind})
-        total, ended = 0.0, False
-        while not ended:
-            action = nothing if policy is None else act(np, policy, obs)
-            obs, reward, terminated, truncated, _ = env.step(action)
-            total, ended = total + reward, terminated or truncated
-        found.append(total / task.ticks(env.dt))
-    return np.array(found)
-
-
-def interval(gains: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the bootstrapped 95 % interval of the mean over seeds and winds (s, w), both drawn."""
-    rng = np.random.default_rng(1)
-    seeds, winds = (rng.integers(size, size=(DRAWS, size)) for size in gains.shape)
-    means = [gains[np.ix_(*chosen)].mean() for chosen in zip(seeds, winds, strict=True)]
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(low), float(high)
-
-
 def to_dataset(
-    seeds: Sequence[int],
-    curve: Sequence[Sequence[float]],
-    winds: NDArray[np.float64],
-    rewards: Mapping[str, NDArray[np.float64]],
-    policies: Policy,
+    config: PolicyConfig, judged: list[list[Judged]], earned: NDArray[np.float64], survived: NDArray[np.float64]
 ) -> xr.Dataset:
-    """Return curve, rewards and weights as a labelled dataset."""
-    axes = {
-        "hidden": ("unit", "feature"),
-        "hidden_bias": ("unit",),
-        "output": ("action", "unit"),
-        "direct": ("action", "feature"),
-        "output_bias": ("action",),
+    """Return curves, rewards and losses as a labelled dataset."""
+    meaning = {
+        "minutes": ("min", "processor time of the training"),
+        "reward": ("1", "mean reward of whole unseen episodes"),
+        "survived": ("1", "share of whole unseen episodes that survive"),
     }
-    return xr.Dataset(
-        {
-            "reward": (
-                ("step", "seed"),
-                np.array(curve),
-                {"units": "1", "long_name": "mean reward of the flights of a step"},
-            ),
-            "unseen_reward": (
-                ("flown", "number"),
-                np.array(list(rewards.values())),
-                {"units": "1", "long_name": "mean reward of a flight in a wind that training did not use"},
-            ),
-            "wind": (("number", "axis"), winds, {"units": "m s-1", "long_name": "wind after its rise"}),
-            **{
-                key: (("seed", *names), np.asarray(getattr(policies, key)), {"units": "1"})
-                for key, names in axes.items()
-            },
-        },
-        {
-            "step": np.arange(len(curve)),
-            "seed": list(seeds),
-            "flown": list(rewards),
-            "number": np.arange(len(winds)),
-            "axis": ["x", "y", "z"],
-        },
-    )
+    courses = {key: [[getattr(one, key) for one in of] for of in judged] for key in meaning}
+    curves = {
+        key: (("seed", "judgement"), courses[key], {"units": unit, "long_name": text})
+        for key, (unit, text) in meaning.items()
+    }
+    final = {
+        "final_reward": (("seed", "episode"), earned, {"units": "1", "long_name": "mean reward of an episode"}),
+        "final_survived": (("seed", "episode"), survived, {"units": "1", "long_name": "1 for a flight that survives"}),
+    }
+    winds = draw_winds(JUDGEMENT, config.episodes, config.task)
+    blown = {"wind": (("episode", "axis"), winds, {"units": "m s-1", "long_name": "wind after its rise"})}
+    steps = [one.step for one in judged[0]]
+    return xr.Dataset({**curves, **final, **blown}, {"seed": list(config.seeds), "step": ("judgement", steps)})

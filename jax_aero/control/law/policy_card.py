@@ -11,19 +11,17 @@ import numpy as np
 from jax_aero import rust
 from jax_aero.base import cards
 from jax_aero.body.robot import RobotModel
-from jax_aero.control.law.residual import Policy, PolicyResidual
+from jax_aero.control.law.residual import Layer, Policy, PolicyResidual
 from jax_aero.types import leaf
 
 FORMAT = "flight-policy"
 
-TENSORS = {
-    "hidden.weight": "hidden",
-    "hidden.bias": "hidden_bias",
-    "output.weight": "output",
-    "direct.weight": "direct",
-    "output.bias": "output_bias",
-}
-"""Fields of the weights, by name of the tensor."""
+
+def _tensors(policy: Policy) -> dict[str, Any]:
+    """Return the weights by name."""
+    layers = {f"hidden.{number}": layer for number, layer in enumerate(policy.hidden)} | {"output": policy.output}
+    named = {f"{name}.{part}": weights for name, layer in layers.items() for part, weights in layer._asdict().items()}
+    return named | {"direct.weight": policy.direct}
 
 
 def make_card(
@@ -34,7 +32,7 @@ def make_card(
     return cards.make_card(
         FORMAT,
         name,
-        {key: getattr(policy, field) for key, field in TENSORS.items()},
+        _tensors(policy),
         description=description,
         training=training,
         inputs={"features": list(residual.features), "scale": np.asarray(residual.scale).tolist()},
@@ -43,8 +41,9 @@ def make_card(
             "joints": list(robot.joint_names),
             "thrust_rate": float(residual.thrust_rate),
             "joint_velocity": float(residual.joint_velocity),
+            "replaces": residual.replaces,
         },
-        architecture={"hidden": len(policy.hidden_bias)},
+        architecture={"hidden": [len(layer.bias) for layer in policy.hidden]},
     )
 
 
@@ -74,10 +73,15 @@ def load_policy(path: str | PathLike[str], robot: RobotModel) -> PolicyResidual:
     """
     found = rust.read_policy(path, robot.jets.names, robot.joint_names)
     return PolicyResidual(
-        policy=Policy(**{field: leaf(weights) for field, weights in found["policy"].items()}),
+        policy=Policy(
+            tuple(Layer(*map(leaf, layer)) for layer in found["hidden"]),
+            Layer(*map(leaf, found["output"])),
+            leaf(found["direct"]),
+        ),
         features=found["features"],
         scale=leaf(found["scale"]),
         thrust_rate=leaf(found["thrust_rate"]),
         joint_velocity=leaf(found["joint_velocity"]),
         jets=robot.jets.count,
+        replaces=found["replaces"],
     )

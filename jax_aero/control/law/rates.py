@@ -122,6 +122,14 @@ class MomentumLaw:
         tasks += [task.equations(inputs) for task in self.other_tasks]
         return Prepared(followed.setpoint, attitude, momentum_qp(tasks, *unknown_bounds(self.tasks, inputs)))
 
+    def leave_open(self, prepared: Prepared) -> Rates:
+        """Return zero rates, as far as the bounds allow, where something else decides."""
+        problem, jets = prepared.shaping.problem, self.tasks.thrust_rate.shape[0]
+        u = jnp.clip(0.0, problem.lower, problem.upper)
+        zero = jnp.zeros((), jnp.int32)
+        answer = QpAnswer(u, jnp.zeros(u.shape, jnp.int8), jnp.zeros((), u.dtype), zero, zero)
+        return Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], modes=zero)
+
     def decide(self, memory: ControllerState, prepared: Prepared) -> tuple[ControllerState, Rates]:
         """Solve the momentum QP."""
         problem, jets = prepared.shaping.problem, self.tasks.thrust_rate.shape[0]

@@ -1,9 +1,10 @@
-"""What is added to the answer of the law: the action of a learned policy, or a given one.
+"""What is added to the answer of the law, or replaces it: the action of a learned policy, or a given one.
 
 ```text
-x = s ∘ o                                     features o of M170, the wrench observed with the gain of M84
-a = tanh( W₂ tanh( W₁ x + b₁ ) + W₃ x + b₂ )  action of a policy, between −1 and 1 (M171)
-u = clip( u* + S a, l, u )                    thrust rates and joint velocities, in the bounds of M65 (M172)
+x = s ∘ o                       features o of M170, the wrench observed with the gain of M84
+h ← tanh( W h + b )             hidden layers of a policy, from h = x
+a = tanh( W h + D x + b )       its action, between −1 and 1 (M171)
+u = clip( ζ u* + S a, l, u )    thrust rates and joint velocities, in the bounds of M65; ζ = 0 replaces (M172)
 ```
 
 Equations M170 to M172 of `docs/model`.
@@ -21,35 +22,44 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.control.estimate import disturbance_observer
 from jax_aero.control.estimate.disturbance_observer import ObserverGains
 from jax_aero.control.law.rates import Rates
+from jax_aero.control.measurement import Measurement
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
 from jax_aero.rust import MODES
-from jax_aero.types import Array, Setpoint, State, pytree, static, where
+from jax_aero.types import Array, Setpoint, pytree, static, where
 
 OBSERVER_GAIN = 3.0
 """Gain of the observed wrench [1/s]."""
 
 
+class Layer(NamedTuple):
+    """Weights of a layer."""
+
+    weight: Float[Array, "y x"]
+    bias: Float[Array, " y"]
+
+
 @pytree
 class Policy:
-    """Weights of a policy; a batch of them has a leading axis."""
+    """Weights of a policy: hidden layers, and a linear part beside them."""
 
-    hidden: Float[Array, "h x"]
-    """`W₁`."""
-    hidden_bias: Float[Array, " h"]
-    """`b₁`."""
-    output: Float[Array, "u h"]
-    """`W₂`."""
+    hidden: tuple[Layer, ...]
+    output: Layer
     direct: Float[Array, "u x"]
-    """`W₃`."""
-    output_bias: Float[Array, " u"]
-    """`b₂`."""
+    """`D`."""
+
+
+def weigh(xp: Any, policy: Policy, x: Any) -> Any:
+    """Return the weighted sums of a network of this structure; `xp` is `numpy` or `jax.numpy`."""
+    units = x
+    for weight, bias in policy.hidden:
+        units = xp.tanh(weight @ units + bias)
+    return policy.output.weight @ units + policy.direct @ x + policy.output.bias
 
 
 def evaluate(xp: Any, policy: Policy, x: Any) -> Any:
-    """Return the action of scaled features, between −1 and 1 (M171); `xp` is `numpy` or `jax.numpy`."""
-    hidden = xp.tanh(policy.hidden @ x + policy.hidden_bias)
-    return xp.tanh(policy.output @ hidden + policy.direct @ x + policy.output_bias)
+    """Return the action of scaled features, between −1 and 1 (M171)."""
+    return xp.tanh(weigh(xp, policy, x))
 
 
 class Added(NamedTuple):
@@ -72,7 +82,7 @@ class Steering:
     replaces: bool = static(default=False)
     """Whether it replaces the answer of the law."""
 
-    def act(self, _features: dict[str, Float[Array, "3"]]) -> Added:
+    def act(self, _features: dict[str, Array]) -> Added:
         """Return the residual."""
         return Added(self.thrust_rate, self.joint_velocity)
 
@@ -83,7 +93,7 @@ class PolicyResidual:
 
     policy: Policy
     features: tuple[str, ...] = static()
-    """Names of what it observes, three numbers each."""
+    """Names of what it observes."""
     scale: Float[Array, " f"]
     """`s` of each of them."""
     thrust_rate: Float[Array, ""]
@@ -92,16 +102,13 @@ class PolicyResidual:
     """Joint velocity of an action of 1 [rad/s]."""
     jets: int = static()
     """Number of actions that are thrust rates, the first ones."""
+    replaces: bool = static(default=False)
+    """Whether it replaces the answer of the law."""
 
-    @property
-    def replaces(self) -> bool:
-        """Return that it is added."""
-        return False
-
-    def act(self, features: dict[str, Float[Array, "3"]]) -> Added:
+    def act(self, features: dict[str, Array]) -> Added:
         """Return the residual of what is observed."""
-        seen = jnp.concatenate([features[name] for name in self.features])
-        action = evaluate(jnp, self.policy, jnp.repeat(self.scale, 3) * seen)
+        seen = jnp.concatenate([scale * features[name] for name, scale in zip(self.features, self.scale, strict=True)])
+        action = evaluate(jnp, self.policy, seen)
         return Added(self.thrust_rate * action[: self.jets], self.joint_velocity * action[self.jets :])
 
 
@@ -113,12 +120,12 @@ def steer(
     robot: RobotModel,
     time_step: Float[Array, ""],
     memory: ControllerState,
-    state: State,
+    now: Measurement,
     model: Model,
     due: Setpoint,
     rates: Rates,
 ) -> tuple[ControllerState, Rates, Added]:
-    """Add a residual to thrust rates and joint velocities, within their bounds, and observe the wrench for the next.
+    """Add a residual to thrust rates and joint velocities, or replace them, and observe the wrench for the next.
 
     A residual that is not finite is not used, nor is one without an answer of the law. The modes name the former.
     """
@@ -126,8 +133,10 @@ def steer(
     assert last is not None
     seen = features(
         jnp,
-        state.base_rotation,
-        state.velocity,
+        now.state.base_rotation,
+        now.state.velocity,
+        now.state.joint_position - memory.posture,
+        now.thrust,
         model.kinematics.com,
         aim_of(due),
         last.wrench,

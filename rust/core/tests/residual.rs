@@ -14,31 +14,39 @@ use nalgebra::{DVector, Vector3};
 use serde_json::{Value, json};
 use tempfile::tempdir;
 
-const FEATURES: [&str; 7] =
-    ["gravity", "rotation", "position", "velocity", "angular_velocity", "force", "moment"];
-const HIDDEN: usize = 5;
-const INPUTS: usize = 21;
+const FEATURES: [&str; 10] = [
+    "gravity",
+    "rotation",
+    "position",
+    "velocity",
+    "angular_velocity",
+    "joint_position",
+    "joint_velocity",
+    "thrust",
+    "force",
+    "moment",
+];
+const HIDDEN: [usize; 2] = [5, 3];
+const INPUTS: usize = 71;
 const ACTIONS: usize = 27;
-const SCALE: [f64; 7] = [0.3, 3.0, 2.0, 0.5, 0.4, 8.0, 7.0];
+const SCALE: [f64; 10] = [0.3, 3.0, 2.0, 0.5, 0.4, 0.7, 0.9, 1.1, 8.0, 7.0];
 const THRUST_RATE: f64 = 40.0;
 const JOINT_VELOCITY: f64 = 0.7;
 
-/// `W₁, b₁, W₂, W₃, b₂`, by row.
-type Weights = [Vec<f32>; 5];
-
-fn weights(draw: &mut impl FnMut() -> f32) -> Weights {
-    [HIDDEN * INPUTS, HIDDEN, ACTIONS * HIDDEN, ACTIONS * INPUTS, ACTIONS]
-        .map(|count| (0..count).map(|_| draw()).collect())
-}
-
-fn tensors([hidden, hidden_bias, output, direct, output_bias]: Weights) -> Vec<Tensor> {
-    vec![
-        ("hidden.weight".into(), vec![HIDDEN, INPUTS], hidden),
-        ("hidden.bias".into(), vec![HIDDEN], hidden_bias),
-        ("output.weight".into(), vec![ACTIONS, HIDDEN], output),
-        ("direct.weight".into(), vec![ACTIONS, INPUTS], direct),
-        ("output.bias".into(), vec![ACTIONS], output_bias),
-    ]
+fn tensors(draw: &mut impl FnMut() -> f32) -> Vec<Tensor> {
+    let shapes: [(&str, &[usize]); 7] = [
+        ("hidden.0.weight", &[HIDDEN[0], INPUTS]),
+        ("hidden.0.bias", &[HIDDEN[0]]),
+        ("hidden.1.weight", &[HIDDEN[1], HIDDEN[0]]),
+        ("hidden.1.bias", &[HIDDEN[1]]),
+        ("output.weight", &[ACTIONS, HIDDEN[1]]),
+        ("output.bias", &[ACTIONS]),
+        ("direct.weight", &[ACTIONS, INPUTS]),
+    ];
+    let fill = |shape: &[usize], draw: &mut dyn FnMut() -> f32| {
+        (0..shape.iter().product()).map(|_| draw()).collect()
+    };
+    shapes.into_iter().map(|(name, shape)| (name.into(), shape.to_vec(), fill(shape, draw))).collect()
 }
 
 /// Loads a policy with this card, changed at these places.
@@ -57,6 +65,7 @@ fn load(robot: &RobotModel, tensors: &[Tensor], changes: &[(&str, Value)]) -> Re
             "joints": names(robot.joints.iter().map(|joint| joint.name.as_str()).collect()),
             "thrust_rate": THRUST_RATE,
             "joint_velocity": JOINT_VELOCITY,
+            "replaces": false,
         },
         "architecture": {"hidden": HIDDEN},
         "training": {},
@@ -141,7 +150,7 @@ fn a_residual_that_is_no_number_is_not_used() {
 #[test]
 fn cards_and_weights_of_others_are_refused() {
     let robot = robot("ironcub_mk1");
-    let sound = tensors(weights(&mut || 0.1));
+    let sound = tensors(&mut || 0.1);
     load(&robot, &sound, &[]).unwrap();
     for (pointer, value, words) in [
         ("/format", json!("flight-aero-network"), &["small.json: `format` is", "expected flight-policy"][..]),
@@ -155,23 +164,28 @@ fn cards_and_weights_of_others_are_refused() {
             json!("wind"),
             &["`inputs.features[1]` is \"wind\"; expected one of gravity, rotation"],
         ),
-        ("/inputs/scale", json!([1.0]), &["`inputs.scale` is 1 numbers; expected 7"]),
+        ("/inputs/scale", json!([1.0]), &["`inputs.scale` is 1 numbers; expected 10"]),
         ("/output/jets/0", json!("nose"), &["`output.jets`", "nose", "as of"]),
         ("/output/joints", json!([]), &["`output.joints`", "torso"]),
         ("/output/thrust_rate", json!(-1.0), &["`output.thrust_rate` is -1; expected a number ≥ 0"]),
         ("/output/joint_velocity", json!(-2.0), &["`output.joint_velocity` is -2; expected a number ≥ 0"]),
-        ("/architecture/hidden", json!(0), &["`architecture.hidden` is 0; expected 1 to 4096 units"]),
-        ("/architecture/hidden", json!(6), &["shape of tensor `hidden.weight`", "[6, 21]"]),
-        ("/architecture", json!({"hidden": 5, "layers": 2}), &["unknown key `architecture.layers`"]),
+        (
+            "/architecture/hidden",
+            json!([5, 0]),
+            &["`architecture.hidden` is [5, 0]; expected 1 to 8 layers of"],
+        ),
+        ("/architecture/hidden", json!([]), &["`architecture.hidden` is []; expected 1 to 8 layers of"]),
+        ("/architecture/hidden", json!([6, 3]), &["shape of tensor `hidden.0.weight`", "[6, 71]"]),
+        ("/architecture", json!({"hidden": [5], "layers": 2}), &["unknown key `architecture.layers`"]),
     ] {
         assert_says(&load(&robot, &sound, &[(pointer, value)]).unwrap_err(), words);
     }
     let mut spoilt = sound.clone();
-    spoilt[3].2[7] = f32::NAN;
+    spoilt[6].2[7] = f32::NAN;
     assert_says(&load(&robot, &spoilt, &[]).unwrap_err(), &["entry 7 of tensor `direct.weight`", "NaN"]);
     assert_says(
         &load(&robot, &sound[1..], &[]).unwrap_err(),
-        &["names `hidden.weight`, which does not exist"],
+        &["names `hidden.0.weight`, which does not exist"],
     );
     let mut more = sound;
     more.push(("more".into(), vec![1], vec![0.0]));

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 pub struct ControllerSection {
     /// The controller's own aerodynamic model; `off` is the baseline controller.
     pub aero: AeroConfig,
-    /// Learned policy whose residual is added to the answer of the law; without it nothing is.
+    /// Learned policy whose action is added to the answer of the law, or replaces it; without it nothing is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub policy: Option<PolicyConfig>,
     /// The control law; its keys are at the same level as `aero`.

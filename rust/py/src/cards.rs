@@ -55,8 +55,7 @@ pub fn read_network(
     Ok(out)
 }
 
-/// Card and weights of a policy, the latter by the names of `jax_aero.control.law.residual.Policy`; checked against the
-/// jets and joints of a robot.
+/// Card and weights of a policy, layer by layer; checked against the jets and joints of a robot.
 #[pyfunction]
 pub fn read_policy(
     py: Python<'_>,
@@ -66,21 +65,25 @@ pub fn read_policy(
 ) -> PyResult<Bound<'_, PyDict>> {
     let (card, weights) =
         flight_io::read_policy(&path, &borrow(&jets), &borrow(&joints)).map_err(value_error)?;
-    let [inputs, units, actions] = card.sizes();
+    let widths = card.widths();
     let PolicyCard { inputs: card_inputs, output, .. } = card;
-    let PolicyWeights { hidden, hidden_bias, output: from_units, direct, output_bias } = weights;
-    let policy = PyDict::new(py);
-    policy.set_item("hidden", array(py, &[units, inputs], hidden)?)?;
-    policy.set_item("hidden_bias", array(py, &[units], hidden_bias)?)?;
-    policy.set_item("output", array(py, &[actions, units], from_units)?)?;
-    policy.set_item("direct", array(py, &[actions, inputs], direct)?)?;
-    policy.set_item("output_bias", array(py, &[actions], output_bias)?)?;
+    let PolicyWeights { hidden, output: last, direct } = weights;
+    let mut inputs = widths.iter();
+    let mut layer = |(weights, bias): (Vec<f32>, Vec<f32>)| -> PyResult<(Single<'_>, Single<'_>)> {
+        let (from, to) = (*inputs.next().unwrap_or(&0), bias.len());
+        Ok((array(py, &[to, from], weights)?, array(py, &[to], bias)?))
+    };
+    let layers = hidden.into_iter().map(&mut layer).collect::<PyResult<Vec<_>>>()?;
+    let actions = last.1.len();
     let out = PyDict::new(py);
-    out.set_item("policy", policy)?;
+    out.set_item("hidden", layers)?;
+    out.set_item("output", layer(last)?)?;
+    out.set_item("direct", array(py, &[actions, widths[0]], direct)?)?;
     out.set_item("features", names(py, &json!(card_inputs.features))?)?;
     out.set_item("scale", array(py, &[card_inputs.scale.len()], card_inputs.scale)?)?;
     out.set_item("thrust_rate", output.thrust_rate)?;
     out.set_item("joint_velocity", output.joint_velocity)?;
+    out.set_item("replaces", output.replaces)?;
     Ok(out)
 }
 

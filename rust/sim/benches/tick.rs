@@ -7,6 +7,7 @@ mod common;
 use common::{StandingTick, Tick};
 use flight_core::BuildError;
 use flight_core::control::Terms;
+use flight_core::control::law::residual::Sight;
 use flight_core::qp::{ClarabelSolver, DualActiveSet, QpSolver};
 use flight_io::{load_policy, load_robot};
 use flight_sim::{Plant, Scenario, ScenarioConfig, Wind};
@@ -111,8 +112,10 @@ fn policy_times() -> Result<Replays, BuildError> {
             controller.tick(state, measurement);
             let (Terms { kinematics, due, residual, .. }, wrench) =
                 (&mut controller.terms().clone(), state.residual_wrench());
-            let robot = &state.estimate().robot.state;
-            times.push(microseconds(|| policy.act(robot, kinematics, due, black_box(&wrench), residual)));
+            let now = &state.estimate().robot;
+            let (robot, thrust, posture) = (&now.state, now.thrust.as_slice(), state.posture());
+            let seen = Sight { robot, thrust, kinematics, due, posture, wrench: &wrench };
+            times.push(microseconds(|| policy.act(black_box(&seen), residual)));
         }
         Ok(())
     })

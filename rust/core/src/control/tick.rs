@@ -276,7 +276,7 @@ impl Controller {
         self.terms.momentum_qp.add(task)
     }
 
-    /// Sets the policy whose residual is added to the answer of the law; not to be called in a tick.
+    /// Sets the policy whose residual is added to the answer of the law, or replaces it; not to be called in a tick.
     pub fn set_policy(&mut self, policy: Policy) {
         self.policy = Some(policy);
     }

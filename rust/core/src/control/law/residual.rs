@@ -1,9 +1,10 @@
-//! What is added to the answer of the law: the action of a learned policy, or a given one.
+//! What is added to the answer of the law, or replaces it: the action of a learned policy, or a given one.
 //!
 //! ```text
-//! x = s ∘ o                                      features o of M170, the wrench observed as in M84
-//! a = tanh( W₂ tanh( W₁ x + b₁ ) + W₃ x + b₂ )   action of a policy, between −1 and 1 (M171)
-//! u = clip( u* + S a, l, u )                     thrust rates and joint velocities, in the bounds of M65 (M172)
+//! x = s ∘ o                       features o of M170, the wrench observed as in M84
+//! h ← tanh( W h + b )             hidden layers of a policy, from h = x
+//! a = tanh( W h + D x + b )       action of a policy, between −1 and 1 (M171)
+//! u = clip( ζ u* + S a, l, u )    thrust rates and joint velocities, in the bounds of M65; ζ = 0 replaces (M172)
 //! ```
 //!
 //! The torques follow the joint velocities that result. A residual that is not finite is not used
@@ -19,7 +20,8 @@ use crate::spatial::parts;
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Greatest number of units.
+/// Greatest number of hidden layers, and of the units of one.
+const MAX_LAYERS: usize = 8;
 const MAX_HIDDEN: usize = 4096;
 
 /// Vectors of 64 bytes in a panel of weights: 32 rows.
@@ -36,7 +38,7 @@ pub struct Residual<'a> {
     pub replaces: bool,
 }
 
-/// Three numbers that a policy observes, in base axes (M170).
+/// Numbers that a policy observes: three in base axes, or one for each joint or jet (M170).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
@@ -50,6 +52,12 @@ pub enum Feature {
     Velocity,
     /// Angular velocity of the base from that of the set-point \[rad/s\].
     AngularVelocity,
+    /// Joint positions from the posture of the first tick \[rad, m\].
+    JointPosition,
+    /// A tenth of the joint velocities \[rad/s, m/s\].
+    JointVelocity,
+    /// Thrusts over their greatest.
+    Thrust,
     /// Observed force over a tenth of the sum of the greatest thrusts.
     Force,
     /// Observed moment over a hundredth of that sum \[1/m\].
@@ -91,37 +99,41 @@ pub struct PolicyOutput {
     pub thrust_rate: f64,
     /// Joint velocity of an action of 1 \[rad/s, m/s\].
     pub joint_velocity: f64,
+    /// Whether it replaces the answer of the law instead of being added.
+    pub replaces: bool,
 }
 
 /// Layers of a policy.
 #[derive(Debug, Clone, PartialEq, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyArchitecture {
-    /// Number of hidden units.
-    pub hidden: usize,
+    /// Numbers of units of the hidden layers.
+    pub hidden: Vec<usize>,
 }
 
 /// Weights of a policy, matrices by row.
 #[derive(Debug, Clone)]
 pub struct PolicyWeights {
-    /// `W₁`.
-    pub hidden: Vec<f32>,
-    /// `b₁`.
-    pub hidden_bias: Vec<f32>,
-    /// `W₂`.
-    pub output: Vec<f32>,
-    /// `W₃`.
+    /// Matrix and bias of each hidden layer.
+    pub hidden: Vec<(Vec<f32>, Vec<f32>)>,
+    /// Matrix and bias of the last layer.
+    pub output: (Vec<f32>, Vec<f32>),
+    /// `D`.
     pub direct: Vec<f32>,
-    /// `b₂`.
-    pub output_bias: Vec<f32>,
 }
 
 impl PolicyCard {
-    /// Numbers of inputs, hidden units and actions.
+    /// Numbers of inputs, of the units of each hidden layer, and of actions.
     #[must_use]
-    pub fn sizes(&self) -> [usize; 3] {
+    pub fn widths(&self) -> Vec<usize> {
         let PolicyOutput { jets, joints, .. } = &self.output;
-        [3 * self.inputs.features.len(), self.architecture.hidden, jets.len() + joints.len()]
+        let size = |feature: &Feature| match feature {
+            Feature::JointPosition | Feature::JointVelocity => joints.len(),
+            Feature::Thrust => jets.len(),
+            _ => 3,
+        };
+        let inputs = self.inputs.features.iter().map(size).sum();
+        [&[inputs], &*self.architecture.hidden, &[jets.len() + joints.len()]].concat()
     }
 
     /// Checks the card, then reads `tensors` as its weights: the card of another robot gives the clearer error.
@@ -136,13 +148,21 @@ impl PolicyCard {
         joints: &[&str],
     ) -> Result<PolicyWeights, BuildError> {
         self.check(jets, joints).map_err(|error| error.in_file(&self.origin))?;
-        let (mut tensors, [inputs, hidden, actions]) = (tensors()?, self.sizes());
+        let (mut tensors, widths) = (tensors()?, self.widths());
+        let mut layer = |name: &str, from: usize, to: usize| {
+            let weights = tensors.take(&format!("{name}.weight"), &[to, from])?;
+            Ok::<_, BuildError>((weights, tensors.take(&format!("{name}.bias"), &[to])?))
+        };
+        let [inputs, .., last, actions] = widths[..] else {
+            return Err(BuildError::bad_entry("architecture.hidden", "empty", "at least one layer"));
+        };
+        let hidden = widths[..widths.len() - 1].windows(2).enumerate();
         let weights = PolicyWeights {
-            hidden: tensors.take("hidden.weight", &[hidden, inputs])?,
-            hidden_bias: tensors.take("hidden.bias", &[hidden])?,
-            output: tensors.take("output.weight", &[actions, hidden])?,
+            hidden: hidden
+                .map(|(number, width)| layer(&format!("hidden.{number}"), width[0], width[1]))
+                .collect::<Result<_, _>>()?,
+            output: layer("output", last, actions)?,
             direct: tensors.take("direct.weight", &[actions, inputs])?,
-            output_bias: tensors.take("output.bias", &[actions])?,
         };
         tensors.finish()?;
         Ok(weights)
@@ -169,7 +189,7 @@ impl PolicyCard {
         for factor in scale {
             check("`inputs.scale`", *factor, |_| true, "finite numbers")?;
         }
-        let PolicyOutput { jets, joints, thrust_rate, joint_velocity } = &self.output;
+        let PolicyOutput { jets, joints, thrust_rate, joint_velocity, .. } = &self.output;
         for (key, names, expected) in
             [("output.jets", jets, robot_jets), ("output.joints", joints, robot_joints)]
         {
@@ -181,10 +201,11 @@ impl PolicyCard {
         for (key, value) in [("thrust_rate", thrust_rate), ("joint_velocity", joint_velocity)] {
             check(&format!("`output.{key}`"), *value, |x| x >= 0.0, "a number ≥ 0")?;
         }
-        let hidden = self.architecture.hidden;
-        if !(1..=MAX_HIDDEN).contains(&hidden) {
-            let expected = format!("1 to {MAX_HIDDEN} units");
-            return Err(BuildError::bad_entry("architecture.hidden", hidden, expected));
+        let hidden = &self.architecture.hidden;
+        let is_sound = hidden.iter().all(|units| (1..=MAX_HIDDEN).contains(units));
+        if !is_sound || !(1..=MAX_LAYERS).contains(&hidden.len()) {
+            let expected = format!("1 to {MAX_LAYERS} layers of 1 to {MAX_HIDDEN} units");
+            return Err(BuildError::bad_entry("architecture.hidden", format!("{hidden:?}"), expected));
         }
         Ok(())
     }
@@ -196,20 +217,38 @@ pub struct Policy {
     features: Vec<Feature>,
     scale: Vec<f64>,
     output: PolicyOutput,
-    /// A tenth of the sum of the greatest thrusts \[N\].
+    /// Greatest thrusts \[N\].
+    thrust_max: Vec<f64>,
+    /// A tenth of their sum \[N\].
     force: f64,
-    /// `W₁, b₁`.
-    first: Layer<f64>,
-    /// `(W₂, W₃), b₂`.
-    second: Layer<f64>,
+    hidden: Vec<Layer<f64>>,
+    /// `(W, D), b`.
+    last: Layer<f64>,
     /// `x`.
     inputs: [Vec<f64>; 1],
-    /// `tanh(W₁ x + b₁)`, to complete panels.
-    units: [Vec<f64>; 1],
-    /// The units, then `x`.
+    /// Units of each hidden layer, to complete panels.
+    units: Vec<[Vec<f64>; 1]>,
+    /// The last units, then `x`.
     joined: [Vec<f64>; 1],
     /// `a`, to complete panels.
     action: [Vec<f64>; 1],
+}
+
+/// What a policy sees of a tick.
+#[derive(Debug, Clone, Copy)]
+pub struct Sight<'a> {
+    /// The robot.
+    pub robot: &'a RobotState,
+    /// Its thrusts \[N\].
+    pub thrust: &'a [f64],
+    /// Its kinematics.
+    pub kinematics: &'a Kinematics,
+    /// Set-point.
+    pub due: &'a Setpoint,
+    /// Joint positions of the first tick.
+    pub posture: &'a DVector<f64>,
+    /// Observed wrench \[N, N m\].
+    pub wrench: &'a Vector6<f64>,
 }
 
 impl Policy {
@@ -225,19 +264,27 @@ impl Policy {
     ) -> Result<Self, BuildError> {
         let (jets, joints): (Vec<_>, Vec<_>) =
             (robot.jet_names().collect(), robot.joints.iter().map(|joint| joint.name.as_str()).collect());
-        let weights = card.weights(tensors, &jets, &joints)?;
-        let [inputs, hidden, actions] = card.sizes();
-        let rows = weights.output.chunks_exact(hidden).zip(weights.direct.chunks_exact(inputs));
+        let PolicyWeights { hidden, output: (output, bias), direct } =
+            card.weights(tensors, &jets, &joints)?;
+        let widths = card.widths();
+        let (inputs, last, actions) = (widths[0], widths[hidden.len()], bias.len());
+        let rows = output.chunks_exact(last).zip(direct.chunks_exact(inputs));
         let joined: Vec<f32> = rows.flat_map(|(units, inputs)| [units, inputs].concat()).collect();
         let PolicyCard { inputs: PolicyInputs { features, scale }, output, .. } = card;
         let padded = |count: usize| [vec![0.0; count.next_multiple_of(8 * PANEL)]];
+        let thrust_max: Vec<f64> = robot.jets.iter().map(|jet| jet.thrust_max).collect();
         Ok(Self {
-            force: 0.1 * robot.jets.iter().map(|jet| jet.thrust_max).sum::<f64>(),
-            first: Layer::new::<PANEL>(&weights.hidden, &weights.hidden_bias, inputs),
-            second: Layer::new::<PANEL>(&joined, &weights.output_bias, hidden + inputs),
+            force: 0.1 * thrust_max.iter().sum::<f64>(),
+            thrust_max,
+            units: hidden.iter().map(|(_, bias)| padded(bias.len())).collect(),
+            hidden: hidden
+                .iter()
+                .zip(&widths)
+                .map(|((weights, bias), inputs)| Layer::new::<PANEL>(weights, bias, *inputs))
+                .collect(),
+            last: Layer::new::<PANEL>(&joined, &bias, last + inputs),
             inputs: [vec![0.0; inputs]],
-            units: padded(hidden),
-            joined: [vec![0.0; hidden + inputs]],
+            joined: [vec![0.0; last + inputs]],
             action: padded(actions),
             features,
             scale,
@@ -245,23 +292,28 @@ impl Policy {
         })
     }
 
-    /// Writes its residual to `residual`, thrust rates first \[N/s, rad/s\]: that of a robot with respect to its
-    /// set-point, and of the observed `wrench` \[N, N m\].
-    pub fn act(
-        &mut self,
-        robot: &RobotState,
-        kinematics: &Kinematics,
-        due: &Setpoint,
-        wrench: &Vector6<f64>,
-        residual: &mut DVector<f64>,
-    ) {
-        self.observe(robot, kinematics, due, wrench);
-        let Self { first, second, inputs, units, joined, action, output, .. } = self;
-        first.apply::<PANEL, 1>(inputs, units, tanh_f64);
-        let hidden = joined[0].len() - inputs[0].len();
-        joined[0][..hidden].copy_from_slice(&units[0][..hidden]);
-        joined[0][hidden..].copy_from_slice(&inputs[0]);
-        second.apply::<PANEL, 1>(joined, action, tanh_f64);
+    /// Whether it replaces the answer of the law.
+    #[must_use]
+    pub fn replaces(&self) -> bool {
+        self.output.replaces
+    }
+
+    /// Writes its residual of what is seen to `residual`, thrust rates first \[N/s, rad/s\].
+    pub fn act(&mut self, seen: &Sight, residual: &mut DVector<f64>) {
+        self.observe(seen);
+        let Self { hidden, last, inputs, units, joined, action, output, .. } = self;
+        let first = joined[0].len() - inputs[0].len();
+        for (number, layer) in hidden.iter().enumerate() {
+            let (before, after) = units.split_at_mut(number);
+            if let Some(to) = after.first_mut() {
+                layer.apply::<PANEL, 1>(before.last().unwrap_or(inputs), to, tanh_f64);
+            }
+        }
+        if let Some(units) = units.last() {
+            joined[0][..first].copy_from_slice(&units[0][..first]);
+        }
+        joined[0][first..].copy_from_slice(&inputs[0]);
+        last.apply::<PANEL, 1>(joined, action, tanh_f64);
         let jets = output.jets.len();
         for (index, (to, action)) in residual.iter_mut().zip(&action[0]).enumerate() {
             *to = action * if index < jets { output.thrust_rate } else { output.joint_velocity };
@@ -269,21 +321,15 @@ impl Policy {
     }
 
     /// `s ∘ o` (M170).
-    fn observe(
-        &mut self,
-        state: &RobotState,
-        kinematics: &Kinematics,
-        due: &Setpoint,
-        wrench: &Vector6<f64>,
-    ) {
-        let rotation = &state.base.rotation;
+    fn observe(&mut self, seen: &Sight) {
+        let Sight { robot, thrust, kinematics, due, posture, wrench } = *seen;
+        let rotation = &robot.base.rotation;
         let turned = due.rotation.tr_mul(rotation);
-        let velocity: Vector3<f64> = state.velocity.fixed_rows::<3>(0).into();
-        let angular_velocity = state.base_angular_velocity() - due.rotation * due.angular_velocity_b;
+        let velocity: Vector3<f64> = robot.velocity.fixed_rows::<3>(0).into();
+        let angular_velocity = robot.base_angular_velocity() - due.rotation * due.angular_velocity_b;
         let (force, moment) = parts(wrench);
-        for ((feature, scale), to) in
-            self.features.iter().zip(&self.scale).zip(self.inputs[0].chunks_exact_mut(3))
-        {
+        let mut left = &mut self.inputs[0][..];
+        for (feature, scale) in self.features.iter().zip(&self.scale) {
             let seen = match feature {
                 Feature::Gravity => -rotation.row(2).transpose(),
                 Feature::Rotation => skew_part(&turned),
@@ -292,12 +338,36 @@ impl Policy {
                 Feature::AngularVelocity => rotation.tr_mul(&angular_velocity),
                 Feature::Force => rotation.tr_mul(&force) / self.force,
                 Feature::Moment => rotation.tr_mul(&moment) / (0.1 * self.force),
+                Feature::JointPosition => {
+                    let moved = robot.joint_position.iter().zip(posture).map(|(now, first)| now - first);
+                    left = write(left, *scale, moved);
+                    continue;
+                }
+                Feature::JointVelocity => {
+                    left = write(left, *scale, robot.joint_velocity().iter().map(|velocity| 0.1 * velocity));
+                    continue;
+                }
+                Feature::Thrust => {
+                    left = write(
+                        left,
+                        *scale,
+                        thrust.iter().zip(&self.thrust_max).map(|(now, most)| now / most),
+                    );
+                    continue;
+                }
             };
-            for (to, seen) in to.iter_mut().zip(&seen) {
-                *to = scale * seen;
-            }
+            left = write(left, *scale, seen.iter().copied());
         }
     }
+}
+
+/// Writes scaled numbers to the beginning of a slice; returns what is left of it.
+fn write(to: &mut [f64], scale: f64, numbers: impl ExactSizeIterator<Item = f64>) -> &mut [f64] {
+    let (to, left) = to.split_at_mut(numbers.len().min(to.len()));
+    for (to, number) in to.iter_mut().zip(numbers) {
+        *to = scale * number;
+    }
+    left
 }
 
 /// Vector of the skew-symmetric part of a matrix.

@@ -1,8 +1,9 @@
-//! A residual in a tick: it is added to the answer of the law, and the wrench is observed that the next one sees.
+//! A residual in a tick: it is added to the answer of the law, or replaces it, and the wrench is observed that the next
+//! one sees.
 
 use crate::control::command::Command;
 use crate::control::estimate::disturbance_observer::{DisturbanceObserverConfig, MomentumSample};
-use crate::control::law::residual::{Policy, Residual};
+use crate::control::law::residual::{Policy, Residual, Sight};
 use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
@@ -15,7 +16,7 @@ const OBSERVER: DisturbanceObserverConfig = DisturbanceObserverConfig {
     moment_max: f64::INFINITY,
 };
 
-/// Adds the residual of a tick to the answer of the law (M172), and, from the first one on, observes the wrench for the
+/// Adds the residual of a tick to the answer of the law, or replaces it (M172), and, from the first one on, observes the wrench for the
 /// next tick. A given residual takes the place of the policy's.
 pub(super) fn steer(
     policy: Option<&mut Policy>,
@@ -25,19 +26,29 @@ pub(super) fn steer(
     command: &mut Command,
 ) {
     let wrench = state.residual_wrench();
-    let has_residual = given.is_some() || policy.is_some();
-    match (given, policy) {
+    let replaces = match (given, policy) {
         (Some(given), _) => {
             given.write(command.thrust_rate.len(), command.joint_velocity.len(), &mut terms.residual);
+            Some(given.replaces)
         }
         (None, Some(policy)) => {
             let Terms { kinematics, due, residual, .. } = terms;
-            policy.act(&state.estimate.robot.state, kinematics, due, &wrench, residual);
+            let robot = &state.estimate.robot;
+            let seen = Sight {
+                robot: &robot.state,
+                thrust: robot.thrust.as_slice(),
+                kinematics,
+                due,
+                posture: &state.posture,
+                wrench: &wrench,
+            };
+            policy.act(&seen, residual);
+            Some(policy.replaces())
         }
-        (None, None) => {}
-    }
-    if has_residual {
-        add(given.is_some_and(|given| given.replaces), terms, command);
+        (None, None) => None,
+    };
+    if let Some(replaces) = replaces {
+        add(replaces, terms, command);
     } else if state.residual_observer.is_none() {
         return;
     }
@@ -46,7 +57,7 @@ pub(super) fn steer(
     observer.observe(&OBSERVER, state.estimate.momentum, state.estimate.elapsed, sample);
 }
 
-/// `u = clip( u* + r, l, u )`.
+/// `u = clip( ζ u* + r, l, u )`.
 fn add(replaces: bool, terms: &Terms, command: &mut Command) {
     let Terms { residual, momentum_qp, .. } = terms;
     if !residual.iter().all(|number| number.is_finite()) {

@@ -1,0 +1,195 @@
+"""Proximal policy optimisation, batched in JAX: what gradients through the flight are compared with.
+
+```text
+A_k = Σ (γ λ)ⁱ δ_k+i,   δ_k = r_k + γ V(o_k+1) − V(o_k)                     until the flight is lost
+cost = −mean min( ρ A, clip(ρ, 1 ± c) A ) + ½ mean (V − A − V₀)²,   ρ = π(a|o) / π₀(a|o)
+```
+
+Actions are normal about those of the policy, and limited by the environment; advantages are scaled to mean zero and
+deviation one. Networks, flights and their starts are those of `jax_aero.train.policy`.
+
+Source: Schulman et al. 2017, arXiv:1707.06347; advantages: Schulman et al., ICLR 2016.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jax_aero.base import tables
+from jax_aero.control.law.residual import Policy, evaluate
+from jax_aero.env import EnvState, FlightEnv
+from jax_aero.train.adam import AdamState, adam_start, adam_step
+from jax_aero.train.policy import Flight, Trainer, begin_all, begin_anew, counts, init_network, scale_of, value_of
+from jax_aero.types import Array, pytree
+
+
+class Settings(tables.Table, frozen=True):
+    """Settings of a training."""
+
+    steps: tables.Count
+    """Number of windows."""
+    batch: tables.Count = 64
+    """Flights per window."""
+    ticks: tables.Count = 64
+    """Ticks per window."""
+    epochs: tables.Count = 4
+    """Passes over the ticks of a window."""
+    parts: tables.Count = 8
+    """Parts of a pass, each with a step of Adam."""
+    learning_rate: tables.Positive = 3e-4
+    """Initial learning rate, which falls to zero along half a cosine."""
+    discount: tables.Positive = 0.995
+    """`γ`."""
+    trace: tables.Positive = 0.95
+    """`λ`."""
+    clip: tables.Positive = 0.2
+    """`c`."""
+    hidden: tuple[tables.Count, ...] = (64, 64)
+    """Widths of the hidden layers, of policy and value."""
+    deviation: tables.Positive = 0.3
+    """Initial standard deviation of an action."""
+
+
+class Learnt(NamedTuple):
+    """What is learnt."""
+
+    policy: Policy
+    log_deviation: Float[Array, " u"]
+    value: Policy
+
+
+@pytree
+class _State:
+    learnt: Learnt
+    adam: AdamState
+    flights: Flight
+
+    @property
+    def policy(self) -> Policy:
+        """Return the policy without noise."""
+        return self.learnt.policy
+
+
+class Seen(NamedTuple):
+    """What is seen in the ticks of a window (t, …)."""
+
+    obs: Float[Array, "t o"]
+    """Scaled, before the tick."""
+    after: Float[Array, "t o"]
+    """After it."""
+    action: Float[Array, "t u"]
+    reward: Float[Array, " t"]
+    done: Float[Array, " t"]
+
+
+class Sample(NamedTuple):
+    """What is learnt from one tick."""
+
+    obs: Float[Array, " o"]
+    action: Float[Array, " u"]
+    log_likelihood: Float[Array, ""]
+    """Of the action, before the window is learnt from."""
+    advantage: Float[Array, ""]
+    target: Float[Array, ""]
+    """Of the value."""
+    weight: Float[Array, ""]
+    """1 up to the loss of the flight, 0 after it."""
+
+
+def trainer(env: FlightEnv, settings: Settings) -> Trainer:
+    """Return the training of an environment by these settings."""
+    return Trainer(settings.steps, partial(_start, env, settings), partial(_step, env, settings))
+
+
+def _start(env: FlightEnv, settings: Settings, key: Array) -> _State:
+    for_policy, for_value, for_flights = jax.random.split(key, 3)
+    inputs, hidden = env.observation_size, settings.hidden
+    learnt = Learnt(
+        init_network(for_policy, inputs, hidden, env.action_size, 0.01),
+        jnp.full(env.action_size, jnp.log(settings.deviation)),
+        init_network(for_value, inputs, hidden, 1, 0.1),
+    )
+    return _State(learnt, adam_start(learnt), begin_all(env, for_flights, settings.batch))
+
+
+def _step(
+    env: FlightEnv, settings: Settings, key: Array, state: _State, share: Array
+) -> tuple[_State, tuple[Array, Array]]:
+    """Fly one window of every flight, and learn from it."""
+    for_noise, for_order, for_flights = jax.random.split(key, 3)
+    keys = jax.random.split(for_noise, settings.batch)
+    flights, seen = jax.vmap(partial(_fly, env, settings, state.learnt))(state.flights, keys)
+    samples = jax.vmap(partial(_judge, settings, state.learnt))(seen)
+    samples = samples._replace(advantage=_standard(samples.advantage, samples.weight))
+    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), samples)
+
+    def improve(carry: tuple[AdamState, Learnt], chosen: Array) -> tuple[tuple[AdamState, Learnt], None]:
+        adam, learnt = carry
+        part = jax.tree.map(lambda leaf: leaf[chosen], flat)
+        gradient = jax.grad(partial(_cost, settings))(learnt, part)
+        return adam_step(adam, learnt, gradient, settings.learning_rate * share), None
+
+    orders = jax.vmap(lambda key: jax.random.permutation(key, flat.weight.size))(
+        jax.random.split(for_order, settings.epochs)
+    )
+    chosen = orders.reshape(settings.epochs * settings.parts, -1)
+    (adam, learnt), _ = jax.lax.scan(improve, (state.adam, state.learnt), chosen)
+    is_lost = jnp.max(seen.done, axis=1)
+    after = _State(learnt, adam, begin_anew(env, for_flights, flights, is_lost))
+    return after, (jnp.mean(seen.reward), jnp.mean(is_lost))
+
+
+def _fly(env: FlightEnv, settings: Settings, learnt: Learnt, flight: Flight, key: Array) -> tuple[Flight, Seen]:
+    """Fly the next ticks of a flight with noise on its actions."""
+    scale = jnp.asarray(scale_of(env.observation_size, env.action_size))
+    deviation = jnp.exp(learnt.log_deviation)
+
+    def tick(state: EnvState, key: Array) -> tuple[EnvState, Seen]:
+        obs = scale * state.obs
+        action = evaluate(jnp, learnt.policy, obs) + deviation * jax.random.normal(key, deviation.shape)
+        after = env.step(state, action)
+        return after, Seen(obs, scale * after.obs, action, after.reward, after.done)
+
+    state, seen = jax.lax.scan(tick, flight.state, jax.random.split(key, settings.ticks))
+    return Flight(state, flight.age + settings.ticks), seen
+
+
+def _judge(settings: Settings, learnt: Learnt, seen: Seen) -> Sample:
+    """Return what is learnt from the ticks of a window."""
+    now, later = (jax.vmap(partial(value_of, learnt.value))(obs) for obs in (seen.obs, seen.after))
+    surprise = seen.reward + settings.discount * (1.0 - seen.done) * later - now
+
+    def back(following: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
+        surprise, done = row
+        advantage = surprise + settings.discount * settings.trace * (1.0 - done) * following
+        return advantage, advantage
+
+    advantage = jax.lax.scan(back, jnp.zeros(()), (surprise, seen.done), reverse=True)[1]
+    likelihood = jax.vmap(partial(log_likelihood, learnt))(seen.obs, seen.action)
+    return Sample(seen.obs, seen.action, likelihood, advantage, now + advantage, counts(seen.done))
+
+
+def log_likelihood(learnt: Learnt, obs: Float[Array, " o"], action: Float[Array, " u"]) -> Float[Array, ""]:
+    """Return that of an action, but for a constant."""
+    from_mean = (action - evaluate(jnp, learnt.policy, obs)) * jnp.exp(-learnt.log_deviation)
+    return -jnp.sum(0.5 * from_mean**2 + learnt.log_deviation)
+
+
+def _cost(settings: Settings, learnt: Learnt, part: Sample) -> Array:
+    ratio = jnp.exp(jax.vmap(partial(log_likelihood, learnt))(part.obs, part.action) - part.log_likelihood)
+    limited = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
+    gain = jnp.minimum(ratio * part.advantage, limited * part.advantage)
+    error = jax.vmap(partial(value_of, learnt.value))(part.obs) - part.target
+    return jnp.sum(part.weight * (0.5 * error**2 - gain)) / jnp.sum(part.weight)
+
+
+def _standard(numbers: Array, weight: Array) -> Array:
+    """Return numbers with mean zero and deviation one."""
+    mean = jnp.sum(weight * numbers) / jnp.sum(weight)
+    variance = jnp.sum(weight * (numbers - mean) ** 2) / jnp.sum(weight)
+    return (numbers - mean) / (jnp.sqrt(variance) + 1e-6)
