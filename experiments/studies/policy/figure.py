@@ -32,6 +32,8 @@ def draw(*studies: xr.Dataset) -> Figure:
 
 
 FIGURES = {
-    "policy": Entry(draw, "hovering learnt from nothing: rewards over time, and by wind", "policy", ("hover",)),
+    "policy": Entry(
+        draw, "hovering learnt from nothing: rewards over time, and by wind", "policy", ("hover", "hover_ppo")
+    ),
 }
 """The study `policy`."""
