@@ -378,9 +378,9 @@ fn a_touch_down_beyond_a_limit_is_a_crash() {
 fn numbers_that_physics_excludes_diverge() {
     type Spoil = fn(&mut ScenarioConfig);
     type Commanded<'a> = Option<(&'a [f64], &'a [f64])>;
-    let (surge, mut blow) = ([1e6; 4], [0.0; 23]);
-    blow[6] = 300.0; // the left elbow
-    let spoilt: [(Spoil, Commanded, LossReason, &str); 6] = [
+    let mut blow = [0.0; 23];
+    blow[6] = 70.0; // the left elbow
+    let spoilt: [(Spoil, Commanded, LossReason, &str); 5] = [
         (
             |c| c.simulator.initial.base_velocity[1] = 301.0,
             None,
@@ -405,7 +405,6 @@ fn numbers_that_physics_excludes_diverge() {
             LossReason::JointPosition,
             "joint more than 6 rad beyond its stop",
         ),
-        (|_| (), Some((&surge, &[0.0; 23])), LossReason::Thrust, "thrust above 10 times its greatest"),
         (
             |c| c.simulator.joint_stops = false,
             Some((&[0.0; 4], &blow)),
