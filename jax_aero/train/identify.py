@@ -372,7 +372,7 @@ def estimate(
     )
     if not (gains.size and offsets.size):
         gains = offsets = np.zeros(0, dtype=int)
-    before = np.eye(free.size)
+    before: np.ndarray = np.eye(free.size)
     of_torques = np.flatnonzero(np.isin(free, np.asarray(index.torque_gain, dtype=int)))
     before[np.ix_(of_torques, of_torques)] += ALIKE * (1.0 - np.eye(of_torques.size))
     before = np.linalg.inv(before)

@@ -224,7 +224,6 @@ TO_FLY = {
     "joint_failures",
     "mk3_engine_loss",
     "outages_observer",
-    "robot_descent",
     "robot_faults",
     "robot_joints",
     "robot_landing",
