@@ -428,7 +428,7 @@ def test_a_claim_is_refuted_by_flights_that_are_all_lost_and_confirmed_by_those_
 
 ENDING = {"announced_losses", "announced_losses_pairs", "engines_lost", "mission_loss", "mission_loss_paper"}
 ENDING |= {f"descent_{way}" for way in ("accelerating", "braking", "chest", "cruise", "leaning")}
-ENDING |= {"false_alarms", "false_alarms_robot", "false_alarms_sensors", "mpc_engines"}
+ENDING |= {"false_alarms_robot", "false_alarms_sensors"}
 ENDING |= {"settings_friction", "settings_weight"}
 ENDING |= {
     "unmeasured_healthy",
