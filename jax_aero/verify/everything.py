@@ -117,13 +117,20 @@ def _extremes(robot: rust.Robot, thrust: NDArray[np.float64]) -> Iterator[Extrem
 
 
 def _judged(config: Mapping[str, Any], extreme: Extreme) -> str | None:
-    """Return the reason for which a flight of the crate is lost in its second tick, if it has diverged."""
+    """Return the reason for which a flight of the crate is lost when it meets this, if it has diverged.
+
+    Before, it is at rest, for as many ticks as thrusts need to get there.
+    """
     state, thrust, wind = extreme
     robot, step = rust.Robot(config["robot"]), config["controller"]["time_step"]
     world = _Shown(rust.State.at_rest(robot))
-    blown = {"profile": "samples", "samples": [[0.0, 0.0, 0.0, 0.0], [step, *wind.tolist()]]}
+    # 100 times the greatest thrust in a second are accepted.
+    ticks = int(np.ceil(np.max(thrust / robot.thrust_max, initial=1.0)))
+    blown = {"profile": "samples", "samples": [[0.0, 0.0, 0.0, 0.0], [ticks * step, *wind.tolist()]]}
     flight = rust.Flight(rust.set_keys(config, {"wind": blown}), world)
-    flight.step(command=rust.Command((thrust - flight.truth.thrust) / step, np.zeros(len(robot.joint_names))))
+    rate = (thrust - flight.truth.thrust) / (ticks * step)
+    for _ in range(ticks):
+        flight.step(command=rust.Command(rate, np.zeros(len(robot.joint_names))))
     world.state = state
     flight.step()
     result = flight.result()

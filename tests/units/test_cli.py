@@ -189,13 +189,18 @@ def test_what_a_terminal_would_obey_is_shown(monkeypatch, capsys):
     assert "\ra\\x0db: " in said.err  # the bar itself goes back to the beginning
 
 
+def begun(names):
+    """Those with the first one's first letter."""
+    return {name for name in names if name[0] == names[0][0]}
+
+
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
         ("jax-aero ver", {"verify"}),
         ("jax-aero fly test1_p", {"test1_policy", "test1_published", "test1_published_observer"}),
         *((f"jax-aero study {name[:-1]}", {name}) for name in studies.names()[:1]),
-        *((f"jax-aero study {name} {places.names(name)[0][:-1]}", {places.names(name)[0]}) for name in CONFIGURED[:1]),
+        *((f"jax-aero study {name} {places.names(name)[0][:1]}", begun(places.names(name))) for name in CONFIGURED[:1]),
     ],
 )
 def test_tab_completes_commands_and_names(line, expected, tmp_path):

@@ -297,6 +297,7 @@ def test_an_interval_of_what_is_not_known_is_that_of_the_prior(sparrow):
     )
 
 
+@pytest.mark.usefixtures("x64")
 def test_the_file_flies_with_what_was_found(sparrow, tmp_path):
     """Masses, the base's centre of mass and thrust axes of the file are those of the numbers."""
     robot = sparrow.robot

@@ -82,7 +82,7 @@ class Steering:
     replaces: bool = static(default=False)
     """Whether it replaces the answer of the law."""
 
-    def act(self, _features: dict[str, Array]) -> Added:
+    def act(self, _features: dict[str, Float[Array, "..."]]) -> Added:
         """Return the residual."""
         return Added(self.thrust_rate, self.joint_velocity)
 
@@ -105,7 +105,7 @@ class PolicyResidual:
     replaces: bool = static(default=False)
     """Whether it replaces the answer of the law."""
 
-    def act(self, features: dict[str, Array]) -> Added:
+    def act(self, features: dict[str, Float[Array, "..."]]) -> Added:
         """Return the residual of what is observed."""
         seen = jnp.concatenate([scale * features[name] for name, scale in zip(self.features, self.scale, strict=True)])
         action = evaluate(jnp, self.policy, seen)
