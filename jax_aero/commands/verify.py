@@ -54,7 +54,7 @@ def _compare_all(options: argparse.Namespace) -> int:
     worst = 0
     for name in places.names("experiments"):
         print(f"\n{name}")
-        options.config, options.out = name, None
+        options.config = name
         status = exit_status(lambda: _compare(options, lines, sides))
         if status and compared(rust.load_config(name)) != "nothing":
             worst = max(worst, status)
@@ -106,7 +106,8 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
                     "compared": f"{share:.1%} of the ticks, the law alone",
                     "not reached": ["what no tick of this flight reaches, which is not examined"],
                 }
-            found["not executed"] = unexecuted(ran, sides)
+            if not options.all:  # programs that another flight has traced would seem not to be executed
+                found["not executed"] = unexecuted(ran, sides)
             lines |= ran
             all_sides.append(merged(sides))
             library, reason = options.library or find(), why_not(config)
@@ -167,6 +168,8 @@ def _parse(arguments: Sequence[str]) -> Any:
     options = parser.parse_args(arguments)
     if options.robot and (options.controller or options.set):
         parser.error("`--robot` compares no flight: expected neither `--controller` nor `--set`")
+    if options.all and options.out:
+        parser.error("`--all` writes a result for each flight: expected no `--out`")
     return options
 
 

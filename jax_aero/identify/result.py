@@ -86,7 +86,7 @@ class _Inertial:
 
 
 def _distribute(links: Sequence[_Inertial], mass: float, com: Array, inertia: Array) -> None:
-    """Give links, of which the first ones are others than the heaviest, a body's mass, centre and inertia about it."""
+    """Give the links of a body its mass, centre and inertia about it; the heaviest takes what scaling leaves."""
     *others, heaviest = sorted(links, key=lambda link: link.mass)
     before = sum(link.mass for link in links)
     centre = sum((link.mass * link.com for link in links), np.zeros(3)) / before

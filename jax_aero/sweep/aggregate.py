@@ -107,10 +107,10 @@ def pool(rows: Iterable[Mapping[str, Any]], times: int = 1) -> dict[str, Any]:
 
 
 def as_cell(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return kept figures by the columns of the table of cells: errors are those of flights that complete or land."""
-    cell: dict[str, Any] = {name: row[name] for name in COUNTS} | {"upright": row["completed"] + row["landed"]}
-    for share in ("completed", "upright"):
-        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(cell[share], row["flights"])
+    """Return the further columns of the table of cells: errors are those of flights that complete or land."""
+    cell: dict[str, Any] = {"upright": row["completed"] + row["landed"]}
+    for share, count in (("completed", row["completed"]), ("upright", cell["upright"])):
+        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(count, row["flights"])
     for name, (column, factor) in UPRIGHT_ERRORS.items():
         for quantile, end in (("p10", "median"), ("median", "median"), ("p90", "high"), ("worst", "worst")):
             value = row[f"{name}_{end}"]

@@ -429,23 +429,23 @@ def estimate(
             Samples(*(part[: max(count, 1) : step] for part in one)) for one, count in zip(logs, counts, strict=True)
         ]
         linear: Any = None
-        moved, linearised = np.inf, 0
+        is_stale, moved, linearised = True, np.inf, 0
         for _ in range(STEPS):
             lefts = left_of(theta, some)
-            if linear is None:
+            if is_stale:
                 guess = unravel(jnp.asarray(theta))
                 linear = [
                     (_slopes(model, guess, one, chosen), air_of(model, guess, one, left))
                     for one, left in zip(some, lefts, strict=True)
                 ]
-                linearised += 1
+                is_stale, linearised = False, linearised + 1
             old, (theta, covariance) = theta, solve(theta, lefts, linear, counts, step)
             last, moved = moved, _deviations((theta - old)[free], sigma, covariance)
             if moved < CONVERGED:
                 break
             if moved > STALLED * last:  # as of drag in a wind that is to be found, whose slope changes with it
                 theta = 0.5 * (theta + old)
-                linear = None if linearised < LINEARISED else linear
+                is_stale = linearised < LINEARISED
         return theta, covariance, linear, moved
 
     theta, *_ = search(np.zeros(width.size), known, COARSE)

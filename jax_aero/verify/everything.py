@@ -10,7 +10,7 @@ limit       whether a state just within and just beyond each limit of what is ph
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -56,6 +56,7 @@ WINDS: dict[str, dict[str, Any]] = {
 """A wind of every kind, by its profile."""
 
 
+@cache
 def verify_everything() -> tuple[list[Row], Compared]:
     """Compare what few flights reach; return JAX's ticks of the flight too."""
     config = use_double_precision(rust.load_config(FILE))

@@ -171,11 +171,13 @@ def read_mcap(
 def _stamps(message: Any, topic: str, numbers: Mapping[str, float], stamps: Mapping[str, float]) -> Iterator[int]:
     """Yield the times that a message states [ns], which would be rounded coarsely in seconds since 1970."""
     for name, scale in stamps.items():
-        number, *parts = (numbers.get(key, np.nan) for key in (name, *(f"{name}/{part}" for part in sum(STAMPS, ()))))
+        number = numbers.get(name, np.nan)
         if np.isfinite(number):
             yield round(number * scale * 1e9)
-        pairs = zip(parts[::2], parts[1::2], strict=True)
-        yield from (int(whole) * 10**9 + int(part) for whole, part in pairs if np.isfinite(whole + part))
+        for units in STAMPS:
+            whole, part = (numbers.get(f"{name}/{unit}", np.nan) for unit in units)
+            if np.isfinite(whole + part):
+                yield int(whole) * 10**9 + int(part)
         text = message
         for key in name.removeprefix(f"{topic}/").split("/"):
             text = text.get(key) if isinstance(text, dict) else None

@@ -6,5 +6,5 @@ from tests.matrix import pairs
 
 
 @pytest.fixture(scope="session")
-def shop(tmp_path_factory):
-    return pairs.Shop(tmp_path_factory.mktemp("pairs"))
+def flights(tmp_path_factory):
+    return pairs.Flights(tmp_path_factory.mktemp("pairs"))

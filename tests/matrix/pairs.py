@@ -120,7 +120,7 @@ def check_figures(folder: Path) -> None:
         assert not (isinstance(value, float) and math.isnan(value)), f"{folder.name}: {name} is {value}"
 
 
-class Shop:
+class Flights:
     """Flights that several actions use, each flown once into a folder of this process."""
 
     def __init__(self, place: Path) -> None:
@@ -152,7 +152,7 @@ class Shop:
         return folder / name
 
 
-Action = Callable[[Shop, str], object]
+Action = Callable[[Flights, str], object]
 ACTIONS: dict[str, dict[str, Action]] = {}
 """What can be done with a file, by the folder of `configs` that it is in, and name."""
 NIGHTLY: set[str] = set()
@@ -173,113 +173,125 @@ def action(*kinds: str, jax: bool = False) -> Callable[[Action], Action]:
 
 
 @action("experiments")
-def fly(shop: Shop, name: str) -> None:
+def fly(flights: Flights, name: str) -> None:
     """Fly it with its own back end."""
-    shop.flight(name)
+    flights.flight(name)
 
 
 @action("verify")
-def fly_file(shop: Shop, name: str) -> None:
+def fly_file(flights: Flights, name: str) -> None:
     """Fly what `jax-aero verify` compares beside every flight."""
-    shop.flight(str(places.CONFIGS / "verify" / f"{name}.toml"))
+    flights.flight(str(places.CONFIGS / "verify" / f"{name}.toml"))
 
 
 @action("experiments")
-def replay(shop: Shop, name: str) -> None:
+def replay(flights: Flights, name: str) -> None:
     """Replay its own log to the last bit."""
-    answer = do("replay", shop.flight(name))
+    answer = do("replay", flights.flight(name))
     assert "equal to the last bit" in answer.text, answer
 
 
-def exported(shop: Shop, name: str, suffix: str, *words: str) -> Path:
+def exported(flights: Flights, name: str, suffix: str, *words: str) -> Path:
     """Return a flight in another format."""
-    path = shop.path(f"{name}{suffix}", f"flight{suffix}")
+    path = flights.path(f"{name}{suffix}", f"flight{suffix}")
     if not path.exists():
-        do("export", shop.flight(name), *words, "--out", path)
+        do("export", flights.flight(name), *words, "--out", path)
     return path
 
 
 @action("experiments")
-def export_html(shop: Shop, name: str) -> None:
+def export_html(flights: Flights, name: str) -> None:
     """Export it as a page."""
-    exported(shop, name, ".html", "--html")
+    exported(flights, name, ".html", "--html")
 
 
 @action("experiments")
-def export_ros2(shop: Shop, name: str) -> None:
+def export_ros2(flights: Flights, name: str) -> None:
     """Export it as messages of ROS 2."""
-    exported(shop, name, ".ros2.mcap", "--mcap", "--profile", "ros2")
+    exported(flights, name, ".ros2.mcap", "--mcap", "--profile", "ros2")
 
 
 @action("experiments")
-def export_mcap(shop: Shop, name: str) -> None:
+def export_mcap(flights: Flights, name: str) -> None:
     """Export it as MCAP, and replay that."""
-    replayed(shop, name, ".mcap", "--mcap")
+    replayed(flights, name, ".mcap", "--mcap")
 
 
 @action("experiments")
-def export_csv(shop: Shop, name: str) -> None:
+def export_csv(flights: Flights, name: str) -> None:
     """Export it as CSV, and replay that."""
-    replayed(shop, name, ".csv", "--csv")
+    replayed(flights, name, ".csv", "--csv")
 
 
 @action("experiments")
-def export_mat(shop: Shop, name: str) -> None:
+def export_mat(flights: Flights, name: str) -> None:
     """Export it for MATLAB, and replay that."""
-    replayed(shop, name, ".mat", "--mat")
+    replayed(flights, name, ".mat", "--mat")
 
 
-def replayed(shop: Shop, name: str, suffix: str, *words: str) -> None:
-    path = exported(shop, name, suffix, *words)
+def replayed(flights: Flights, name: str, suffix: str, *words: str) -> None:
+    path = exported(flights, name, suffix, *words)
     changes = ("--set", f"simulator.duration={shortest(rust.load_config(name))}")
     do("replay", path, "--experiment", name, *changes, table=True)
 
 
 @action("experiments")
-def export_config(shop: Shop, name: str) -> None:
+def export_config(flights: Flights, name: str) -> None:
     """Export all files that it needs, and fly from there."""
-    out = shop.path(f"{name} folder", "files")
+    out = flights.path(f"{name} folder", "files")
     do("export", name, "--config", "--out", out)
     (file,) = [path for path in out.rglob(f"{name}.toml") if path.parent.name == "experiments" or path.parent == out]
-    shop.flight(str(file))
+    flights.flight(str(file))
 
 
 @action("experiments")
-def compare(shop: Shop, name: str) -> None:
+def compare(flights: Flights, name: str) -> None:
     """Draw it."""
-    do("figures", "compare", "--runs", shop.flight(name), "--out", shop.path(f"{name} figure", "figures"))
+    do("figures", "compare", "--runs", flights.flight(name), "--out", flights.path(f"{name} figure", "figures"))
 
 
 @action("experiments")
-def snapshot(shop: Shop, name: str) -> None:
+def snapshot(flights: Flights, name: str) -> None:
     """Draw its robot."""
-    out = shop.path(f"{name} snapshot", "flight.png")
-    do("view", "snapshot", shop.flight(name), "--renderer", "pillow", "--size", "160x120", "--at", "0.1", "--out", out)
+    out = flights.path(f"{name} snapshot", "flight.png")
+    do(
+        "view",
+        "snapshot",
+        flights.flight(name),
+        "--renderer",
+        "pillow",
+        "--size",
+        "160x120",
+        "--at",
+        "0.1",
+        "--out",
+        out,
+    )
 
 
 @action("experiments", jax=True)
-def identify(shop: Shop, name: str) -> None:
+def identify(flights: Flights, name: str) -> None:
     """Find numbers in a log of four seconds."""
-    flight = shop.flight(name, "--set", "simulator.duration=4.0")
-    do("identify", flight, "--out", shop.path(f"{name} identified", "numbers"), table=True)
+    flight = flights.flight(name, "--set", "simulator.duration=4.0")
+    do("identify", flight, "--out", flights.path(f"{name} identified", "numbers"), table=True)
 
 
 @action("experiments", jax=True)
-def fly_jax(shop: Shop, name: str) -> None:
+def fly_jax(flights: Flights, name: str) -> None:
     """Fly it with JAX."""
-    shop.flight(name, "--backend", "jax")
+    flights.flight(name, "--backend", "jax")
 
 
 @action("experiments", jax=True)
-def verify(shop: Shop, name: str) -> None:
+def verify(flights: Flights, name: str) -> None:
     """Compare the crate with JAX in it."""
-    do("verify", "--config", name, "--states", "3", "--out", shop.path(f"{name} verified", "verify"))
+    do("verify", "--config", name, "--states", "3", "--out", flights.path(f"{name} verified", "verify"))
 
 
 @action("experiments")
-def embed(shop: Shop, name: str) -> None:
+def embed(flights: Flights, name: str) -> None:
     """Let the C library compute its commands."""
-    del shop
+    del flights
     config = rust.load_config(name)
     config = rust.set_keys(config, {"simulator.duration": shortest(config)})
     if (path := library.find()) is None:
@@ -294,30 +306,30 @@ def embed(shop: Shop, name: str) -> None:
 
 
 @action("control")
-def replay_with(shop: Shop, name: str) -> None:
+def replay_with(flights: Flights, name: str) -> None:
     """Let a controller replay a log of a robot that it fits."""
     robot = "mk3_hover" if name.startswith("mk3") else "platform_hover" if name.startswith("platform") else "test2"
-    do("replay", shop.flight(robot), "--controller", name, table=True)
+    do("replay", flights.flight(robot), "--controller", name, table=True)
 
 
 @action("robot")
-def air(shop: Shop, name: str) -> None:
+def air(flights: Flights, name: str) -> None:
     """Compute the force of the air on a robot."""
-    do("air", "--robot", name, "--posture", "zero", "--out", shop.path(f"{name} air", "air"))
+    do("air", "--robot", name, "--posture", "zero", "--out", flights.path(f"{name} air", "air"))
 
 
 @action("networks")
-def fly_network(shop: Shop, name: str) -> None:
+def fly_network(flights: Flights, name: str) -> None:
     """Fly TEST2 in the air of a network, which the controller knows."""
     card, model = NETWORKS / f"{name}.json", places.find("aero", "network")
-    shop.flight("test2", *(word for part in AIRS for word in ("--set", f'{part}={{base="{model}",card="{card}"}}')))
+    flights.flight("test2", *(word for part in AIRS for word in ("--set", f'{part}={{base="{model}",card="{card}"}}')))
 
 
 @action("figures")
-def draw(shop: Shop, name: str) -> None:
+def draw(flights: Flights, name: str) -> None:
     """Draw a figure, or say which results it lacks."""
-    out = shop.path(f"{name} figures", "out")
-    named = ("--runs", shop.flight("test2")) if FIGURES[name].is_of_any else ()
+    out = flights.path(f"{name} figures", "out")
+    named = ("--runs", flights.flight("test2")) if FIGURES[name].is_of_any else ()
     answer = run("figures", name, *named, "--results", out / "flights", "--sweeps", out / "sweeps", "--out", out)
     lacks = answer.status == 1 and re.search(r"no \w+ `.+` in .+ with: ", answer.text)
     assert answer.status == 0 or lacks, answer
@@ -328,62 +340,62 @@ AIRS = ("simulator.aero", "controller.aero")
 
 
 @action("mission", "wind")
-def fly_in(shop: Shop, name: str) -> None:
+def fly_in(flights: Flights, name: str) -> None:
     """Fly TEST2 with another mission or wind."""
     kind = "mission" if name in places.names("mission") else "wind"
     robot = "mk3_min_jerk" if name.startswith("mk3") else "test2"
-    shop.flight(robot, "--set", f'{kind}={{base="{places.find(kind, name)}"}}')
+    flights.flight(robot, "--set", f'{kind}={{base="{places.find(kind, name)}"}}')
 
 
 @action("aero")
-def fly_with(shop: Shop, name: str) -> None:
+def fly_with(flights: Flights, name: str) -> None:
     """Fly TEST2 in the air of another model."""
-    shop.flight("test2", "--set", f'simulator.aero={{base="{places.find("aero", name)}"}}')
+    flights.flight("test2", "--set", f'simulator.aero={{base="{places.find("aero", name)}"}}')
 
 
 @action("sweeps")
-def fly_row(shop: Shop, name: str) -> None:
+def fly_row(flights: Flights, name: str) -> None:
     """Fly the first row of a sweep."""
-    out = shop.path(f"{name} row", "row")
+    out = flights.path(f"{name} row", "row")
     duration = shortest(Design(spec.load(name)).row_config(0))
     do("fly", "--row", name, "0", "--set", f"simulator.duration={duration}", "--out", out, "--name", "run")
     check_figures(out / "run")
 
 
 @action("waypoints")
-def waypoints(shop: Shop, name: str) -> None:
+def waypoints(flights: Flights, name: str) -> None:
     """Make a mission of waypoints, and fly it."""
-    out = shop.path(f"{name} waypoints", "mission")
+    out = flights.path(f"{name} waypoints", "mission")
     do("robot", "waypoints", name, "--out", out)
-    shop.flight(str(next(out.rglob(f"{name}.toml"))))
+    flights.flight(str(next(out.rglob(f"{name}.toml"))))
 
 
 @action("studies")
-def help_of(shop: Shop, name: str) -> None:
+def help_of(flights: Flights, name: str) -> None:
     """Say what a study does."""
-    del shop
+    del flights
     do("study", name, "--help")
 
 
 @action("onboard")
-def export_onboard(shop: Shop, name: str) -> None:
+def export_onboard(flights: Flights, name: str) -> None:
     """Export what runs on board, and read it as a controller does."""
-    out = shop.path(f"{name} onboard", "files")
+    out = flights.path(f"{name} onboard", "files")
     do("export", name, "--config", "--out", out)
 
 
 @action("commands")
-def explain(shop: Shop, name: str) -> None:
+def explain(flights: Flights, name: str) -> None:
     """Say what a command does."""
-    del shop
+    del flights
     do(*name.split(), "--help")
 
 
 def reading(kind: str) -> Action:
     """Return the action that reads a file as its command does."""
 
-    def read(shop: Shop, name: str) -> None:
-        del shop
+    def read(flights: Flights, name: str) -> None:
+        del flights
         tables.load(places.find(kind, name), schema.TYPES[kind])
 
     return read
@@ -394,9 +406,9 @@ for of_python in ("cfd", "cfd_flow", "perturbation", "training", "training_searc
 
 
 @action("simulator", "law", "engines", "tables")
-def belong(shop: Shop, name: str) -> None:
+def belong(flights: Flights, name: str) -> None:
     """A part of a configuration is named by a file that is flown or by a command."""
-    del shop
+    del flights
     sources = [path for top in USERS for path in top.rglob("*") if path.suffix in {".toml", ".py"}]
     assert any(re.search(rf"\b{name}\b", path.read_text()) for path in sources if path.stem != name)
 
@@ -444,11 +456,11 @@ def refused_keys(pair: Pair) -> list[str]:
     return []
 
 
-def check(shop: Shop, pair: Pair) -> None:
+def check(flights: Flights, pair: Pair) -> None:
     """Do it; a pair is refused exactly if it is listed, by a key that is responsible."""
     keys, said = refused_keys(pair), ""
     try:
-        ACTIONS[pair.kind][pair.action](shop, pair.name)
+        ACTIONS[pair.kind][pair.action](flights, pair.name)
     except Refused as refusal:
         said = str(refusal)
     assert bool(said) == bool(keys), said or f"{pair} works, though {keys} are listed"

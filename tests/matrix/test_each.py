@@ -10,5 +10,5 @@ def test_every_kind_of_file_has_an_action():
 
 
 @pytest.mark.parametrize("pair", pairs.first(), ids=str)
-def test_each_file_and_each_command(shop, pair):
-    pairs.check(shop, pair)
+def test_each_file_and_each_command(flights, pair):
+    pairs.check(flights, pair)

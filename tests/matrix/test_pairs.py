@@ -6,5 +6,5 @@ from tests.matrix import pairs
 
 
 @pytest.mark.parametrize("pair", [pair for pair in pairs.others() if pair.action not in pairs.NIGHTLY], ids=str)
-def test_every_pair_of_the_crate(shop, pair):
-    pairs.check(shop, pair)
+def test_every_pair_of_the_crate(flights, pair):
+    pairs.check(flights, pair)

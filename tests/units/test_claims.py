@@ -365,10 +365,17 @@ def test_a_claim_covers_the_cells_of_its_levels(chosen, count):
     assert sum(Criterion(key="k", states="", cells=chosen).covers(one) for one in CELLS) == count
 
 
+COUNTED = ("none", "one", "two", "three", "four", "five", "six")
+
+
 @pytest.mark.parametrize("name", places.names("sweeps"))
 def test_a_claim_says_its_bounds(name):
     for claim in paper.stated(name):
-        said = [f"{limit:g}°" for name, limit in claim.at_most.items() if columns.CELLS[name].unit == "deg"]
+        bounds = claim.at_most.items()
+        said = [
+            f"{limit:g}°" if columns.CELLS[of].unit == "deg" else f"at most {COUNTED[int(limit)]}"
+            for of, limit in bounds
+        ]
         said += [f"at most {100.0 * one.at_most:g} %" if one.at_most else "no flight" for one in claim.share]
         assert not [bound for bound in said if f" {bound}" not in claim.states], claim.states
 

@@ -99,7 +99,7 @@ def compute(_: str, settings: Truths, work: Work) -> Findings:
 
 NUMBERS = ("truth", "low", "high", "value", "share")
 DEFECTS = ("payload detected", "flexible joint detected")
-STUDY = Study("hidden_truth", __doc__, Truths, compute, ("ten",), backend="rust and jax", resumes=True)
+STUDY = Study("hidden_truth", __doc__, Truths, compute, ("seventy_two",), backend="rust and jax", resumes=True)
 main = STUDY.main
 
 

@@ -147,12 +147,12 @@ impl<'t> Csv<'t> {
     }
 
     fn number(&self, column: usize, cell: &str) -> Option<f64> {
-        let bare = cell.strip_prefix(['+', '-']).filter(|bare| !bare.is_empty()).unwrap_or(cell);
-        if EMPTY.split('|').any(|empty| empty.eq_ignore_ascii_case(bare)) {
-            return Some(f64::NAN);
-        }
         let number = if self.separator == b',' { cell.parse() } else { cell.replace(',', ".").parse() };
-        let is_missing = || self.missing.iter().any(|(of, text)| *of == self.names[column] && text == cell);
+        let is_missing = || {
+            let bare = cell.strip_prefix(['+', '-']).filter(|bare| !bare.is_empty()).unwrap_or(cell);
+            EMPTY.split('|').any(|empty| empty.eq_ignore_ascii_case(bare))
+                || self.missing.iter().any(|(of, text)| *of == self.names[column] && text == cell)
+        };
         number.ok().or_else(|| is_missing().then_some(f64::NAN))
     }
 

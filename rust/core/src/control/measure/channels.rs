@@ -169,8 +169,7 @@ impl Channels {
     /// Whether thrusts can have these rates \[N/s\].
     #[must_use]
     pub fn accept_rates(&self, rates: &[f64]) -> bool {
-        let rates = rates.iter().zip(&self.greatest.thrust);
-        rates.into_iter().all(|(rate, most)| rate.abs() <= greatest::THRUST_RATE * most)
+        rates.iter().zip(&self.greatest.thrust).all(|(rate, most)| rate.abs() <= greatest::THRUST_RATE * most)
     }
 
     /// The state before the first tick, and what is known of the robot then.

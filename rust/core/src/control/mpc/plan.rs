@@ -41,18 +41,6 @@ impl Plan {
         self.answer
     }
 
-    /// Number of unknowns.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.inputs.len()
-    }
-
-    /// Whether there are no unknowns: the law does not plan.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.inputs.is_empty()
-    }
-
     /// It is not followed any further, and a new one is due.
     pub(in crate::control) fn discard(&mut self) {
         (self.since, self.tried) = (None, f64::NEG_INFINITY);

@@ -125,7 +125,6 @@ impl Riccati {
             }
             solver.solve_free(gain);
         }
-        debug_assert_eq!(gain.len(), m * n);
         let is_finite = gain.iter().all(|value| value.is_finite());
         if is_finite { answer } else { QpAnswer::from_status(QpStatus::NonFinite) }
     }
