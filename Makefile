@@ -194,10 +194,11 @@ lint-python: $(PACKAGES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(PACKAGES) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
+bench: $(PACKAGES) ## measure every part of a tick, the crate beside Pinocchio, DAQP and Clarabel, and trainings
 	cargo bench --locked --bench dynamics --bench aero
 	$(BIN)/python -m experiments.tools.bench
 	$(BIN)/python -m experiments.tools.bench_jax
+	$(BIN)/python -m experiments.tools.bench_train
 
 figures: $(PACKAGES) ## fly the demo's flights, and draw every figure whose results are there
 	$(BIN)/jax-aero fly $(DEMO) --overwrite

@@ -164,7 +164,7 @@ class FlightEnv:
     def step(self, state: EnvState, action: Float[Array, " u"]) -> EnvState:
         """Fly one tick with an action between −1 and 1."""
         episode = state.data
-        action = limit_action(jnp, action, self.action_size, episode.wind.dtype)
+        action = limit_action(jnp, action, (self.action_size,), episode.wind.dtype)
         drawn = self._pick(episode.drawn).scenario
         scenario: Scenario = replace_values(drawn, {f"wind.{self.task.wind_key}": episode.wind})
         scenario = replace(scenario, controller=self._steered(drawn, action))

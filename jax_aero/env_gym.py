@@ -1,4 +1,4 @@
-"""The flight as a Gymnasium environment: `rust.Flight` with the action as its residual, without JAX.
+"""The flight as a Gymnasium environment, alone or many at once: `rust.Flight` with actions as residuals, without JAX.
 
 Examples
 --------
@@ -8,8 +8,8 @@ Examples
 >>> obs, reward, terminated, truncated, info = hover.step(hover.action_space.sample())
 
 Needs the extra `rl`. Task, observation and reward are those of `jax_aero.env`. Once this module is imported,
-`gymnasium.make` has it as `jax_aero/Hover-v0`; `jax_aero.env_gym:jax_aero/Hover-v0` imports it. Sensors, outages and
-faults of the experiment act on the controller; what is observed is the true state.
+`gymnasium.make` and `make_vec` have it as `jax_aero/Hover-v0`; `jax_aero.env_gym:jax_aero/Hover-v0` imports it.
+Sensors, outages and faults of the experiment act on the controller; what is observed is the true state.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from typing import Any, Literal
 
 import gymnasium  # type: ignore[import-not-found,unused-ignore]
 import numpy as np
+from gymnasium.vector.utils import batch_space  # type: ignore[import-not-found,unused-ignore]
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.base.features import Aim, aim_of
+from jax_aero.base.features import Aim
 from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer, task_of
 
-__all__ = ["HoverEnv"]
+__all__ = ["HoverEnv", "HoverVectorEnv"]
 
 LARGEST = 1e6
 """Bound that no observation reaches before the flight counts as lost."""
@@ -70,7 +71,8 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._robot = rust.Robot(self._config["robot"])
         self._thrust_max = np.array(self._robot.thrust_max)
         n, j = len(self._robot.joint_names), len(self._robot.jet_names)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
+        self._size = j + n
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self._size,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (21 + 2 * n + j,), np.float32)
         self.dt = float(self._config["controller"]["time_step"])
         self._last_tick = self.task.ticks(self.dt)
@@ -90,19 +92,14 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if len(self._drawn) > 1:
             self._config = self._drawn[self.np_random.integers(len(self._drawn))]
         self._begin([float(part) for part in options.get("wind", drawn)])
-        return self._observe()[1], {"wind": np.array(self._wind)}
+        return _observe([self])[1][0], {"wind": np.array(self._wind)}
 
     def step(self, action: NDArray[np.floating]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
-        jets = self._thrust_max.size
-        clipped = limit_action(np, action, jets + self._posture.size, np.float64)
-        residual = rust.Residual(*steer(self.task, clipped, jets), self.task.steering == "rates")
-        goes_on = self._flight.step(residual=residual)
-        self._flown.append(clipped)
-        task_state, obs = self._observe()
-        parts = {name: float(value) for name, value in rewards(np, task_state, clipped).items()}
-        lost = not goes_on or bool(is_lost(np, task_state, self._fall)) or not np.isfinite(clipped).all()
-        return obs, 0.0 if lost else sum(parts.values()), lost, len(self._flown) >= self._last_tick, parts
+        clipped = limit_action(np, action, (self._size,), np.float64)
+        obs, lost, ended, parts = _step([self], clipped[None])
+        found = {name: float(values[0]) for name, values in parts.items()}
+        return obs[0], 0.0 if lost[0] else sum(found.values()), bool(lost[0]), bool(ended[0]), found
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override,unused-ignore]
         """Return the picture of the latest tick, before any of the first one: (480, 640, 3)."""
@@ -134,26 +131,97 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def _begin(self, wind: list[float]) -> None:
         self._wind = wind
         self._config = {**self._config, "wind": {**self._config["wind"], self.task.wind_key: wind}}
-        self._flight = rust.Flight(self._config)
+        self._flight = rust.Flight(self._config, robot=self._robot)
         self._flown: list[NDArray[np.float64]] = []
-        state = self._flight.truth.state
-        com = rust.dynamics(self._robot, state).com_position
-        self._first = Aim(com, np.array(state.base_rotation), np.zeros(3), np.zeros(3))
-        self._posture: NDArray[np.float64] = np.array(state.joint_position)
-
-    def _observe(self) -> tuple[TaskState, NDArray[np.float32]]:
-        now = self._flight.truth
-        task_state = TaskState(
-            rotation=np.asarray(now.state.base_rotation),
-            velocity=np.asarray(now.state.velocity),
-            joint_position=np.asarray(now.state.joint_position),
-            thrust=now.thrust,
-            com=rust.dynamics(self._robot, now.state).com_position,
-            aim=aim_of(self._flight.try_tick().setpoint) if self.task.tracking else self._first,
-            posture=self._posture,
-            wrench=self._flight.residual_wrench,
-        )
-        return task_state, observation(np, task_state, self._thrust_max).astype(np.float32)
+        seen, still = rust.observe_flights([self._flight]), np.zeros(3)
+        self._first = Aim(seen.com_position[0], seen.base_rotation[0], still, still)
+        self._posture: NDArray[np.float64] = seen.joint_position[0]
 
 
-gymnasium.register("jax_aero/Hover-v0", "jax_aero.env_gym:HoverEnv")
+Infos = dict[str, Any]
+
+
+class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """Fly many episodes of `HoverEnv` at once, on all cores.
+
+    An episode that ends begins anew in the same step: `infos["final_obs"]` has the last observation of the ended one,
+    `_final_obs` says which ones ended. A seed is that of the first environment, the others have the next ones.
+
+    Parameters
+    ----------
+    num_envs
+        Number of environments.
+    task, drawn
+        As of `HoverEnv`.
+    """
+
+    metadata = {"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP}  # noqa: RUF012 - as Gymnasium declares it
+
+    def __init__(
+        self, num_envs: int = 64, task: Task | str | None = None, drawn: Sequence[Mapping[str, Any]] = ()
+    ) -> None:
+        self.num_envs, self.envs = num_envs, [HoverEnv(task, drawn) for _ in range(num_envs)]
+        first = self.envs[0]
+        self.single_action_space, self.single_observation_space = first.action_space, first.observation_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Infos]:
+        """Begin an episode of every environment."""
+        if seed is None or isinstance(seed, int):
+            seed = [None if seed is None else seed + number for number in range(self.num_envs)]
+        infos: Infos = {}
+        begun = [env.reset(seed=own, options=options) for env, own in zip(self.envs, seed, strict=True)]
+        for number, (_, info) in enumerate(begun):
+            infos = self._add_info(infos, info, number)
+        return np.array([obs for obs, _ in begun]), infos
+
+    def step(
+        self, actions: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Infos]:
+        """Fly one tick of every environment."""
+        clipped = limit_action(np, actions, (self.num_envs, self.envs[0]._size), np.float64)
+        obs, lost, ended, parts = _step(self.envs, clipped)
+        infos: Infos = dict(parts)
+        for number in map(int, np.flatnonzero(lost | ended)):
+            infos = self._add_info(infos, {"final_obs": obs[number].copy()}, number)
+            obs[number], info = self.envs[number].reset()
+            infos = self._add_info(infos, info, number)
+        return obs, np.where(lost, 0.0, sum(parts.values())), lost, ended, infos
+
+
+def _step(envs: Sequence[HoverEnv], actions: NDArray[np.float64]) -> tuple[Any, Any, Any, dict[str, Any]]:
+    """Fly one tick of each episode; return observations, which are lost, which are at their end, parts of rewards."""
+    task, fall, jets = envs[0].task, envs[0]._fall, envs[0]._thrust_max.size
+    residual = rust.Residual(*steer(task, actions, jets), task.steering == "rates")
+    goes_on = rust.step_flights([env._flight for env in envs], residual)
+    for env, action in zip(envs, actions, strict=True):
+        env._flown.append(action)
+    state, obs = _observe(envs)
+    lost = ~goes_on | is_lost(np, state, fall) | ~np.isfinite(actions).all(axis=-1)
+    ended = np.array([len(env._flown) >= env._last_tick for env in envs])
+    return obs, lost, ended, rewards(np, state, actions)
+
+
+def _observe(envs: Sequence[HoverEnv]) -> tuple[TaskState, NDArray[np.float32]]:
+    """Return states and observations of episodes (envs, …)."""
+    follows = envs[0].task.tracking
+    seen = rust.observe_flights([env._flight for env in envs], setpoint=follows)
+    state = TaskState(
+        rotation=seen.base_rotation,
+        velocity=seen.velocity,
+        joint_position=seen.joint_position,
+        thrust=seen.thrust,
+        com=seen.com_position,
+        aim=Aim(*seen[6:]) if follows else Aim(*map(np.array, zip(*(env._first for env in envs), strict=True))),
+        posture=np.array([env._posture for env in envs]),
+        wrench=seen.residual_wrench,
+    )
+    return state, observation(np, state, envs[0]._thrust_max).astype(np.float32)
+
+
+gymnasium.register(
+    "jax_aero/Hover-v0", "jax_aero.env_gym:HoverEnv", vector_entry_point="jax_aero.env_gym:HoverVectorEnv"
+)

@@ -1,6 +1,7 @@
 """The task of both environments: to hover or fly a mission in a wind that is drawn anew; its observation and reward.
 
-Functions take `numpy` or `jax.numpy` as an argument, so that the environments of JAX and of the crate agree.
+Functions take `numpy` or `jax.numpy` as an argument, so that the environments of JAX and of the crate agree. Arrays are
+of one robot, or have leading axes of several.
 """
 
 from __future__ import annotations
@@ -148,7 +149,7 @@ def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
         state.wrench,
         thrust_max,
     )
-    return xp.concatenate(list(seen.values()))
+    return xp.concatenate(list(seen.values()), axis=-1)
 
 
 def rewards(xp: Any, state: TaskState, action: Any) -> dict[str, Any]:
@@ -156,37 +157,38 @@ def rewards(xp: Any, state: TaskState, action: Any) -> dict[str, Any]:
 
     `action` is as returned by `limit_action`.
     """
-    error = state.aim.rotation.T @ state.rotation
-    # 1 − cos of the angle between base and set-point.
-    angle = 0.5 * (3.0 - xp.trace(error))
     return {
-        "attitude": 0.5 * xp.exp(-20.0 * angle),
-        "position": 0.5 * xp.exp(-20.0 * xp.sum((state.com - state.aim.com) ** 2)),
-        "effort": -0.01 * xp.sum(action**2) / max(action.size, 1),
+        "attitude": 0.5 * xp.exp(-20.0 * (1.0 - _cosine(xp, state))),
+        "position": 0.5 * xp.exp(-20.0 * xp.sum((state.com - state.aim.com) ** 2, axis=-1)),
+        "effort": -0.01 * xp.sum(action**2, axis=-1) / max(action.shape[-1], 1),
     }
 
 
 def is_lost(xp: Any, state: TaskState, limits: Any) -> Any:
     """Return whether the robot has fallen, by the limits of `simulator.fall`; a state with NaN counts as fallen."""
-    cosine = 0.5 * (xp.trace(state.aim.rotation.T @ state.rotation) - 1.0)
-    turned = xp.degrees(xp.arccos(xp.clip(cosine, -1.0, 1.0)))
-    is_near = xp.sum((state.com - state.aim.com) ** 2) <= limits.com_error**2
+    turned = xp.degrees(xp.arccos(xp.clip(_cosine(xp, state), -1.0, 1.0)))
+    is_near = xp.sum((state.com - state.aim.com) ** 2, axis=-1) <= limits.com_error**2
     return ~((turned <= limits.rotation_error_deg) & is_near)
 
 
-def limit_action(xp: Any, action: Any, size: int, dtype: Any) -> Any:
+def _cosine(xp: Any, state: TaskState) -> Any:
+    """Return that of the angle between base and set-point, of the trace of R_dᵀ R."""
+    return 0.5 * (xp.sum(state.aim.rotation * state.rotation, axis=(-2, -1)) - 1.0)
+
+
+def limit_action(xp: Any, action: Any, expected: tuple[int, ...], dtype: Any) -> Any:
     """Return an action limited to −1 to 1.
 
     Raises
     ------
     ValueError
-        If the shape is not (size,).
+        If the shape is not the expected one.
     """
-    if (shape := xp.shape(action)) != (size,):
-        raise ValueError(f"`action` has shape {shape}; expected {(size,)}")
+    if (shape := xp.shape(action)) != expected:
+        raise ValueError(f"`action` has shape {shape}; expected {expected}")
     return xp.clip(xp.asarray(action, dtype), -1.0, 1.0)
 
 
 def steer(task: Task, action: Any, jets: int) -> tuple[Any, Any]:
     """Return the thrust rates [N/s] and joint velocities [rad/s] of an action between −1 and 1."""
-    return task.thrust_rate * action[:jets], task.joint_velocity * action[jets:]
+    return task.thrust_rate * action[..., :jets], task.joint_velocity * action[..., jets:]

@@ -74,6 +74,7 @@ __all__ = [
     "FlightResult",
     "Jacobian",
     "Measurement",
+    "Observed",
     "Preview",
     "Progress",
     "QpAnswer",
@@ -106,6 +107,7 @@ __all__ = [
     "load_controller",
     "load_onboard",
     "normals",
+    "observe_flights",
     "path_keys",
     "read_csv",
     "read_network",
@@ -123,6 +125,7 @@ __all__ = [
     "set_keys",
     "setpoint_trajectory",
     "signals",
+    "step_flights",
     "summarise",
     "uniforms",
     "wind_velocity",
@@ -699,6 +702,8 @@ class Flight:
     controller
         What commands in every tick in place of the configuration's, from the measurement that it is given and the
         set-point; by default that of the configuration's `own_controller`, if any.
+    robot
+        The configuration's, so that the crate's world does not read its files again.
 
     Raises
     ------
@@ -711,11 +716,12 @@ class Flight:
         config: Mapping[str, Any],
         world: World | None = None,
         controller: Callable[[Measurement], Command] | None = None,
+        robot: Robot | None = None,
     ) -> None:
         text = _to_json(config)
         if config.get("own_controller"):
             text = _to_json({key: value for key, value in config.items() if key != "own_controller"})
-        self._core = _core.Flight(text, None if world is None else _World(world))
+        self._core = _core.Flight(text, None if world is None else _World(world), robot)
         has_own = controller is None and config.get("own_controller")
         self._controller: Callable[[Measurement], Any] | None = (
             own.Own(config, Robot(config["robot"])) if has_own else controller
@@ -1105,6 +1111,44 @@ def fly_batch(
                     progress(len(flown), len(configs))
         return flown
     return [FlightResult(**raw) for raw in _core.fly_batch(texts, threads, progress, full_log)]
+
+
+class Observed(NamedTuple):
+    """The simulated robots of flights at their next ticks, inertial axes; the first axis is that of the flights."""
+
+    base_rotation: Array
+    velocity: Array
+    """ν (flights, 6 + n) [m/s, rad/s]."""
+    joint_position: Array
+    thrust: Array
+    """Those that the engines report (`jets.feedback`) [N]."""
+    com_position: Array
+    residual_wrench: Array
+    """(flights, 6) [N, N m]."""
+    com_setpoint: Array | None = None
+    rotation_setpoint: Array | None = None
+    com_velocity_setpoint: Array | None = None
+    angular_velocity_setpoint: Array | None = None
+
+
+def step_flights(flights: Sequence[Flight], residual: Residual) -> NDArray[np.bool_]:
+    """Fly one tick of each flight on all cores, with its row of the residual; return whether each goes on.
+
+    Raises
+    ------
+    ValueError
+        For flights of several robots, or with controllers in Python, and arrays of the wrong size.
+    """
+    if any(flight._controller is not None for flight in flights):
+        raise ValueError("a flight has an `own_controller`; expected the law, to which a residual is added")
+    rates, velocities, replaces = residual
+    cores = [flight._core for flight in flights]
+    return np.array(_core.step_flights(cores, _array(rates), _array(velocities), replaces))
+
+
+def observe_flights(flights: Sequence[Flight], *, setpoint: bool = False) -> Observed:
+    """Return the robots of flights at their next ticks, and what their controllers follow if `setpoint`."""
+    return Observed(**dict(_core.observe_flights([flight._core for flight in flights], setpoint)))
 
 
 def dynamics(robot: Robot, state: State) -> Dynamics:

@@ -46,8 +46,8 @@ BLOCK = re.compile(r"^<!-- table\n(?P<asks>.*?)^-->\n.*?^<!-- end -->$", re.MULT
 class Asked(msgspec.Struct, forbid_unknown_fields=True):
     """What a block shows: one of `kept`, `flights`, `controllers` and `compared`."""
 
-    kept: str = ""
-    """A kept result."""
+    kept: str | dict[str, str] = ""
+    """A kept result, or several by the heading of their row."""
     flights: Names = []
     """Experiments, which are flown; `{baseline}` in a heading is the label of this controller."""
     controllers: bool = False
@@ -100,6 +100,10 @@ def shows(asked: Asked) -> str:
 
 
 def _of_kept(asked: Asked) -> Rows:
+    if isinstance(asked.kept, dict):
+        tables = {text: _of_kept(msgspec.structs.replace(asked, kept=name)) for text, name in asked.kept.items()}
+        rows = [[text, *row[1:]] for text, (_, rows) in tables.items() for row in rows]
+        return next(headings for headings, _ in tables.values()), rows
     document = kept.read(asked.kept)
     if not document.rows:
         return kept_tables.of_study(document, asked.columns, asked.rows)

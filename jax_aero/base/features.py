@@ -38,21 +38,27 @@ def features(
     wrench: Any,
     thrust_max: Any,
 ) -> dict[str, Any]:
-    """Return what is observed, by name, each of order one; (3,) in base axes but for joints and thrusts (M170).
+    """Return what is observed, by name, each of order one; (…, 3) in base axes but for joints and thrusts (M170).
 
-    `rotation` is `inertial_from_base`, `velocity` that of the base, its angular velocity and that of the joints,
-    `joint_position` from the posture, `com` the centre of mass, and `wrench` the observed one about it, inertial axes.
+    Of one robot, or with leading axes of several. `rotation` is `inertial_from_base`, `velocity` that of the base, its
+    angular velocity and that of the joints, `joint_position` from the posture, `com` the centre of mass, and `wrench`
+    the observed one about it, inertial axes.
     """
-    error, force = aim.rotation.T @ rotation, 0.1 * xp.sum(thrust_max)
+    error, force = xp.swapaxes(aim.rotation, -1, -2) @ rotation, 0.1 * xp.sum(thrust_max)
+    skew = [error[..., i, j] - error[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))]
+
+    def in_base(vector: Any) -> Any:
+        return (vector[..., None, :] @ rotation)[..., 0, :]
+
     return {
-        "gravity": -rotation[2],
-        "rotation": 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]),
-        "position": rotation.T @ (com - aim.com),
-        "velocity": rotation.T @ (velocity[:3] - aim.velocity),
-        "angular_velocity": rotation.T @ (velocity[3:6] - aim.angular_velocity),
+        "gravity": -rotation[..., 2, :],
+        "rotation": 0.5 * xp.stack(skew, axis=-1),
+        "position": in_base(com - aim.com),
+        "velocity": in_base(velocity[..., :3] - aim.velocity),
+        "angular_velocity": in_base(velocity[..., 3:6] - aim.angular_velocity),
         "joint_position": joint_position,
-        "joint_velocity": 0.1 * velocity[6:],
+        "joint_velocity": 0.1 * velocity[..., 6:],
         "thrust": thrust / thrust_max,
-        "force": rotation.T @ wrench[:3] / force,
-        "moment": rotation.T @ wrench[3:] / (0.1 * force),
+        "force": in_base(wrench[..., :3]) / force,
+        "moment": in_base(wrench[..., 3:]) / (0.1 * force),
     }

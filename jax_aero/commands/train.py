@@ -33,6 +33,8 @@ from jax_aero.train.loop import ERROR_UNIT
 from jax_aero.train.parts import FinishedPart
 
 RESULTS = places.RESULTS / "training"
+LINE_INTERVAL = 60.0
+"""Least time between two lines of progress that are not on a terminal [s]."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -144,14 +146,21 @@ def _train(
     network = None
     is_quiet = not sys.stderr.isatty()
     with tqdm(
-        total=len(todo) * training.epochs, unit="epoch", file=terminal(), disable=is_quiet, dynamic_ncols=True
+        total=len(todo) * training.epochs,
+        unit="epoch",
+        file=terminal(),
+        mininterval=LINE_INTERVAL if is_quiet else 0.1,
+        dynamic_ncols=True,
     ) as bar:
-        for part in todo:
+        for number, part in enumerate(todo):
             bar.set_description(part.name)
 
-            def on_epoch(train: float, error: float | None) -> None:
+            def on_epoch(epoch: int, train: float, error: float | None, before: int = number * training.epochs) -> None:
                 shown = {"train": f"{train:.2e}"} | ({} if error is None else {"held out": f"{error:.2e}"})
                 bar.set_postfix(shown, refresh=False)
+                if (resumed := before + epoch - 1 - bar.n) > 0:  # by earlier calls, whose time is not known
+                    bar.initial += resumed
+                    bar.n = bar.last_print_n = bar.n + resumed
                 bar.update()
 
             # The last part is trained again if needed, since its weights are required.
@@ -161,8 +170,6 @@ def _train(
                 if part.split != "final":
                     parts.keep(work, done)
                     network = None
-            else:
-                bar.update(training.epochs)
             finished.append(done)
             if is_quiet:
                 mse = f", held out {done.errors['mse']:.3e} m4" if "mse" in done.errors else ""

@@ -33,7 +33,8 @@ from jax_aero.train import (
 from jax_aero.train.config import Training
 from jax_aero.train.loss import mean_square
 
-OnEpoch = Callable[[float, float | None], None]
+OnEpoch = Callable[[int, float, float | None], None]
+"""Function of the epochs of this part that are done, its networks together, and the losses."""
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,10 @@ def run(
     samples = samples_of(model, robot, rows)
     unseen = samples_of(model, robot, held_out) if len(held_out) else None
     curves: dict[str, list[list[float | None]]] = {}
-    first = training.seed + 1000 * part.seed
+    first, before = training.seed + 1000 * part.seed, 0
 
     def fit_part(name: str, samples: Samples, settings: Settings, seed: int) -> FitResult:
+        nonlocal before
         found = fit(
             training.start(seed),
             samples,
@@ -101,8 +103,9 @@ def run(
             settings,
             seed,
             checkpoint=work.path(f"{part.name}-{name}"),
-            on_epoch=lambda _, train, error: on_epoch(train, error),
+            on_epoch=lambda epoch, *losses: on_epoch(before + epoch, *losses),
         )
+        before += settings.epochs
         curves[f"{part.name}-{name}"] = [list(row) for row in found.curves]
         return found
 

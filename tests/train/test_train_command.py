@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from PIL import Image
+from tqdm import tqdm
 
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network
@@ -139,7 +140,14 @@ def test_figures_are_drawn_from_the_result(result, tmp_path):
 def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data, tmp_path, monkeypatch, capsys):
     out = tmp_path / "compact"
     run = command.parts.run
-    done = []
+    done, bars = [], []
+
+    class Bar(tqdm):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            bars.append(self)
+
+    monkeypatch.setattr(command, "tqdm", Bar)
 
     def stop_at_the_second(part, *arguments):
         done.append(part.name)
@@ -153,6 +161,9 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
     assert not out.exists()
     assert main(words(data, out)) == 0
     assert done == ["grouped-0-0", "grouped-0-1", "grouped-0-1", "random-56", "final"]
+    # Epochs of the first call count as done, and not as done in no time.
+    all_epochs = bars[0].total
+    assert [(bar.initial, bar.n) for bar in bars] == [(0, all_epochs // 4), (all_epochs // 4, all_epochs)]
     whole = result / "training" / "compact" / "compact.safetensors"
     assert (out / "compact.safetensors").read_bytes() == whole.read_bytes()
 

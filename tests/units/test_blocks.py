@@ -50,6 +50,10 @@ TABLES = [
         STUDY + 'columns = { drag = "drag [m2]", "error [%]" = "error" }',
         ["| | drag [m²] | error [%] |", "| coarse | 0.24 | 31 |", "| fine | 0.20 | 10 |"],
     ),
+    (
+        'kept = { one = "study", other = "study" }\nrows = ["fine"]\ncolumns = { "error [%]" = "error" }',
+        ["| | error [%] |", "| one | 10 |", "| other | 10 |"],
+    ),
     (STUDY + 'rows = ["cases"]', ["| figure | value |", "| cases | 2 |"]),
     (
         'flights = ["test2"]\ncolumns = { "leans [°]" = "max_rotation_error" }',

@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from scipy.spatial.transform import Rotation
 
-from jax_aero import rust
+from jax_aero import env_gym, rust
 from jax_aero.base.features import Aim
 from jax_aero.base.places import CONFIGS
 from jax_aero.env import FlightEnv
-from jax_aero.env_gym import HoverEnv
+from jax_aero.env_gym import HoverEnv, HoverVectorEnv
 from jax_aero.env_task import Task, TaskState, limit_action, observation, rewards, steer
 from jax_aero.rust import load_config
 from tests.measurements import measured
@@ -28,6 +28,11 @@ from tests.measurements import measured
 EXPERIMENTS = CONFIGS / "experiments"
 
 WIND = [3.0, -9.0, 0.0]
+
+
+def aim_of(hover):
+    """Return what is followed in the next tick."""
+    return Aim(*(part[0] for part in env_gym._observe([hover])[0].aim))
 
 
 def test_gymnasium_finds_no_fault():
@@ -94,12 +99,12 @@ def test_both_environments_are_one_task(x64, tmp_path):
         states = step(states, jnp.stack([jnp.asarray(action), jnp.zeros(27, jnp.float32)]))
         measured("observation", np.abs(states.obs[0] - task_state).max(), 1e-6)
         measured("reward", abs(float(states.reward[0]) - reward), 1e-9)
-        turned = crate._flight.truth.state.base_rotation.T @ crate._observe()[0].aim.rotation
+        turned = crate._flight.truth.state.base_rotation.T @ aim_of(crate).rotation
         angle = np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0))
         # An arc cosine next to 1 has the square root of the rounding of its argument.
         measured("attitude error", abs(float(states.metrics["attitude_error"][0]) - angle), 1e-7)
         assert float(states.done[0]) == terminated == 0.0
-    aim = crate._observe()[0].aim
+    aim = aim_of(crate)
     assert aim.velocity[2] > 1e-6
     assert np.abs(aim.angular_velocity).max() > 1e-6
     assert set(parts) < set(states.metrics)
@@ -158,6 +163,59 @@ def test_the_robot_that_we_recommend_is_one_task_in_both_environments(x64, tmp_p
     sudden.reset(options={"wind": WIND})
     _ = [sudden.step(np.zeros(27)) for _ in range(2)]
     assert [*sudden._flight.last.degraded_modes] == ["wind_held"]
+
+
+@pytest.mark.parametrize("tracking", [False, True])
+def test_many_episodes_at_once_are_those_of_single_environments(tracking):
+    """Three robots of two masses in drawn winds: restarts at the end, after 4 ticks, and after a loss by NaN."""
+    task = Task(tracking=tracking, duration=0.04, ramp=0.05)
+    drawn = [load_config("test1", {"disturbances.model_error.mass_scale": scale}) for scale in (1.0, 1.2)]
+    single = SyncVectorEnv([lambda: HoverEnv(task, drawn)] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
+    many = HoverVectorEnv(3, task, drawn)
+    np.testing.assert_array_equal(single.reset(seed=5)[0], many.reset(seed=5)[0])
+    rng, ends = np.random.default_rng(0), []
+    for tick in range(10):
+        actions = rng.uniform(-1.5, 1.5, (3, 27)).astype(np.float32)
+        actions[1, 3] = np.nan if tick == 5 else 0.0
+        expected, found = single.step(actions), many.step(actions)
+        for ours, theirs in zip(found[:2], expected[:2], strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-6)
+        np.testing.assert_array_equal(found[2:4], expected[2:4])
+        assert set(found[4]) >= {"attitude", "position", "effort"}
+        for name in ("_final_obs", "_wind", "wind"):
+            np.testing.assert_array_equal(found[4].get(name), expected[4].get(name))
+        for number in np.flatnonzero(found[2] | found[3]):
+            last = [infos["final_obs"][number] for infos in (found[4], expected[4])]
+            np.testing.assert_allclose(*last, rtol=0.0, atol=1e-6)
+            assert np.abs(last[0] - found[0][number]).max() > 1e-3
+        ends.append((found[2] | found[3]).tolist())
+    both, lost = [True] * 3, [False, True, False]
+    assert [tick for tick, end in enumerate(ends) if end == lost] == [5, 9]
+    assert [tick for tick, end in enumerate(ends) if end == [True, False, True]] == [7]
+    assert ends[3] == both
+
+
+def test_many_episodes_at_once_refuse_what_a_single_one_refuses():
+    many = HoverVectorEnv(2)
+    with pytest.raises(ValueError, match=r"`action` has shape \(27,\); expected \(2, 27\)"):
+        many.step(np.zeros(27, np.float32))
+    with pytest.raises(ValueError, match="options of `reset` are winds; expected `wind`"):
+        many.reset(options={"winds": WIND})
+    made = gymnasium.make_vec("jax_aero.env_gym:jax_aero/Hover-v0", 3, "vector_entry_point")
+    assert made.reset(seed=1)[0].shape == (3, 71)
+
+
+def test_flights_that_cannot_go_on_together_are_refused(tmp_path):
+    flights = [rust.Flight(load_config(name)) for name in ("test1", "platform_hover")]
+    with pytest.raises(ValueError, match="`flights` are of several robots; expected one"):
+        rust.observe_flights(flights)
+    with pytest.raises(ValueError, match="there are no `flights`"):
+        rust.observe_flights([])
+    with pytest.raises(ValueError, match=r"`residual.thrust_rate` has shape \[4\]; expected \[1, 4\]"):
+        rust.step_flights(flights[:1], rust.Residual(np.zeros(4), np.zeros(23)))
+    own = rust.Flight(load_config("test1"), controller=lambda _: rust.Command(np.zeros(4), np.zeros(23)))
+    with pytest.raises(ValueError, match="a flight has an `own_controller`"):
+        rust.step_flights([own], rust.Residual(np.zeros((1, 4)), np.zeros((1, 23))))
 
 
 COPIES = {"copied": copy.deepcopy, "pickled": lambda env: pickle.loads(pickle.dumps(env))}
@@ -234,7 +292,7 @@ def test_the_set_point_that_is_observed_is_that_of_the_next_tick(tmp_path):
     hover = HoverEnv(Task(str(tmp_path / "own.toml"), tracking=True, duration=1.0))
     hover.reset(seed=0)
     for _ in range(20):
-        aim = hover._observe()[0].aim
+        aim = aim_of(hover)
         hover.step(np.zeros(27, np.float32))
         assert np.array_equal(aim.com, hover._flight.result()["com_setpoint"][-1])
 
@@ -281,7 +339,7 @@ def test_the_observation_is_what_its_table_says():
 
 
 def test_an_action_is_thrust_rates_and_joint_velocities():
-    action = limit_action(np, [1.0, -3.0, 0.5, 0.25, -0.75], 5, np.float64)
+    action = limit_action(np, [1.0, -3.0, 0.5, 0.25, -0.75], (5,), np.float64)
     rates, velocities = steer(Task(thrust_rate=10.0, joint_velocity=2.0), action, 2)
     assert rates.tolist() == [10.0, -10.0]
     assert velocities.tolist() == [1.0, 0.5, -1.5]
@@ -359,7 +417,7 @@ def test_a_hover_is_that_of_the_robot_and_a_mission_that_of_the_controller(track
     start = rust.dynamics(hover._robot, hover._flight.truth.state).com_position
     for _ in range(40):
         hover.step(np.zeros(27, np.float32))
-    aim = hover._observe()[0].aim
+    aim = aim_of(hover)
     if tracking:
         assert np.hypot(*(aim.com - start)[:2]) > 1e-3
         assert aim.com[2] > start[2] + 1e-4

@@ -9,6 +9,7 @@
 #![allow(clippy::doc_markdown)]
 
 mod arrays;
+mod batch;
 mod cards;
 mod control;
 mod flight;
@@ -23,6 +24,8 @@ use pyo3::prelude::*;
 
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::batch::{observe_flights, step_flights};
     #[pymodule_export]
     use super::cards::{read_network, read_policy};
     #[pymodule_export]

@@ -304,6 +304,10 @@ impl Robot {
 }
 
 impl Robot {
+    pub(crate) fn model(&self) -> &RobotModel {
+        &self.model
+    }
+
     fn evaluate(&self, arrays: &StateInput<'_>) -> PyResult<(Kinematics, Dynamics)> {
         let state = state(self.model.joints.len(), arrays)?;
         let mut kinematics = Kinematics::new(&self.model);

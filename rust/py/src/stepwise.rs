@@ -3,7 +3,7 @@
 use crate::arrays::{Input, Output, entries, finite_entries, plain_error, value_error, vector, vector3};
 use crate::control::{ControllerState, setpoint_from_dict, setpoint_to_dict, tick_dict};
 use crate::flight::{flight_dict, parse};
-use crate::robot::{StateInput, measured_state, state_arrays};
+use crate::robot::{Robot, StateInput, measured_state, state_arrays};
 use flight_core::control::law::residual::Residual;
 use flight_core::control::{Given, Measurement};
 use flight_core::robot::RobotModel;
@@ -78,19 +78,20 @@ impl World for PyWorld {
 /// A flight, tick by tick.
 #[pyclass(module = "jax_aero._core")]
 pub struct Flight {
-    flight: flight_sim::Flight,
+    pub(crate) flight: flight_sim::Flight,
     raised: Raised,
 }
 
 #[pymethods]
 impl Flight {
     #[new]
-    #[pyo3(signature = (config_json, world = None))]
-    fn new(config_json: &str, world: Option<Py<PyAny>>) -> PyResult<Self> {
+    #[pyo3(signature = (config_json, world = None, robot = None))]
+    fn new(config_json: &str, world: Option<Py<PyAny>>, robot: Option<&Robot>) -> PyResult<Self> {
         let (config, raised) = (parse(config_json)?, Raised::default());
-        let scenario = match world {
-            None => Scenario::new(&config),
-            Some(object) => {
+        let scenario = match (world, robot) {
+            (None, None) => Scenario::new(&config),
+            (None, Some(robot)) => Scenario::with_robot(&config, robot.model().clone()),
+            (Some(object), _) => {
                 let raised = raised.clone();
                 Scenario::in_world(&config, Box::new(PyWorld { object, raised }))
             }
@@ -232,7 +233,7 @@ impl Flight {
 
 impl Flight {
     /// Raises what the world raised.
-    fn check_world(&self) -> PyResult<()> {
+    pub(crate) fn check_world(&self) -> PyResult<()> {
         self.raised.lock().unwrap_or_else(PoisonError::into_inner).take().map_or(Ok(()), Err)
     }
 }

@@ -1,6 +1,7 @@
 //! Batches of flights on several threads.
 
 use crate::config::ScenarioConfig;
+use crate::flight::Flight;
 use crate::outcome::FlightResult;
 use crate::scenario::{NoResult, Scenario};
 use flight_core::error::BuildError;
@@ -59,4 +60,12 @@ pub fn fly_batch<T: Send>(
         numbered().find_map_first(|item| build(item).err()).map_or(Ok(()), Err)?;
         numbered().map(fly).collect()
     })
+}
+
+/// Does something with each flight, on as many threads as there are cores; the answers are in the order of the flights.
+pub fn with_each<T: Send>(
+    flights: &mut [&mut Flight],
+    act: impl Fn(usize, &mut Flight) -> T + Sync,
+) -> Vec<T> {
+    flights.par_iter_mut().enumerate().map(|(index, flight)| act(index, flight)).collect()
 }

@@ -41,7 +41,7 @@ pub const NUMERICS: u32 = 1;
 
 pub use actuation::{Actuation, ActuationConfig};
 #[cfg(feature = "threads")]
-pub use batch::{BatchError, fly_batch};
+pub use batch::{BatchError, fly_batch, with_each};
 pub use config::{Backend, ScenarioConfig, SimulatorConfig, load_scenario, onboard, schemas};
 pub use disturbances::Disturbances;
 pub use flight::Flight;

@@ -1,0 +1,155 @@
+"""Measure what training takes: `python -m experiments.tools.bench_train`.
+
+A step of our loop with each network is measured in turns with NumPy's product of two matrices of 2048 × 2048 in single
+precision, whose rate is what the machine reaches at the same time; so is a tick of the environments, without restarts.
+Prints all of it. The status is 1 if a network reaches a share of NumPy's rate more than a tenth below that of
+`docs/results/bench_train.json`, which `--store` replaces.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from msgspec import structs
+
+from experiments.report.page import table
+from jax_aero.aero.network import Network
+from jax_aero.base import places
+from jax_aero.base.arguments import count
+from jax_aero.base.files import write_text
+from jax_aero.env import FlightEnv, Task
+from jax_aero.env_gym import HoverVectorEnv
+from jax_aero.results import kept, manifest
+from jax_aero.sim.plant import COMPILER_OPTIONS
+from jax_aero.train import config, loop
+from jax_aero.train.adam import adam_start
+
+untyped: Any = jax
+"""JAX, for the parts of it that have no types."""
+
+NAME, TITLE = "bench_train", "What training takes"
+SHARE, RATE = "share of NumPy's", "GFLOP/s"
+SLACK = 0.9
+PRODUCT = 2048
+"""Rows and columns of NumPy's matrices, and rows of a batch."""
+NETWORKS = {"10 × 1024": 10 * (1024,), "4 × 256": 4 * (256,), "4 × 128": 4 * (128,)}
+"""Hidden layers by name, with the inputs and outputs of the paper's network, of which the first is all."""
+ROWS = 2 * 4826
+"""Rows of the paper's free-stream table, with their mirror images."""
+H200 = 67e12
+"""Operations a second of an NVIDIA H200 in single precision, by its data sheet."""
+ROBOTS = 64
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.tools.bench_train", description=__doc__)
+    parser.add_argument("--turns", type=count, default=5, help="number of runs of everything (default 5)")
+    parser.add_argument("--store", action="store_true", help="store what is measured")
+    given = parser.parse_args(arguments)
+    found = measure(networks() | environments(), given.turns)
+    for case, figures in found.items():
+        print(table([[f"{value:.4g}" for value in figures.values()]], case, *figures))
+    slower = [] if given.store else below(found)
+    if given.store:
+        store(found)
+    print("\n".join(f"{name}: more than a tenth below what is stored" for name in slower))
+    return int(bool(slower))
+
+
+def networks() -> dict[str, tuple[float, Callable[[], Any]]]:
+    """Return floating-point operations and functions by name: NumPy's product, and steps of our loop."""
+    rng = np.random.default_rng(0)
+    left, right = rng.normal(size=(2, PRODUCT, PRODUCT)).astype(np.float32)
+    cases = {"NumPy": (2.0 * PRODUCT**3, lambda: left @ right)}
+    training, _ = config.read(places.CONFIGS / "training" / "paper.toml")
+    settings = structs.replace(training.training, batch=PRODUCT)
+    for name, hidden in NETWORKS.items():
+        network = structs.replace(training, network=structs.replace(training.network, hidden=hidden)).start(0)
+        cases[name] = 6.0 * PRODUCT * weights(network), step_of(network, settings, rng)
+    return cases
+
+
+def weights(network: Network) -> int:
+    """Return the number of weights, of which each takes six operations in a step: two forward, four backward."""
+    return sum(layer.weight.size for layer in network.layers)
+
+
+def step_of(network: Network, settings: loop.Settings, rng: np.random.Generator) -> Callable[[], Any]:
+    """Return an epoch of one batch."""
+    sizes = network.layers[0].weight.shape[-1], network.scale.size
+    data = tuple(jnp.asarray(rng.normal(size=(PRODUCT, size)), jnp.float32) for size in sizes)
+    start = network.layers, adam_start(network.layers), data, jnp.zeros(sizes[0]), jnp.uint32(0), jnp.uint32(0)
+    return lambda: untyped.block_until_ready(loop._epoch(settings, network.activation, PRODUCT, *start))
+
+
+def environments() -> dict[str, tuple[float, Callable[[], Any]]]:
+    """Return ticks and functions by name: a tick of both environments."""
+    task = Task(duration=1e3)
+    many, ours = HoverVectorEnv(ROBOTS, task), FlightEnv(task)
+    many.reset(seed=0)
+    states = jax.vmap(ours.reset)(jax.random.split(jax.random.key(0), ROBOTS))
+    step = jax.jit(jax.vmap(ours.step), compiler_options=COMPILER_OPTIONS)
+    actions = np.zeros((ROBOTS, ours.action_size), np.float32)
+    return {
+        "Gymnasium, over the crate": (ROBOTS, lambda: many.step(actions)),
+        "JAX, single precision": (ROBOTS, lambda: untyped.block_until_ready(step(states, actions))),
+    }
+
+
+def measure(cases: Mapping[str, tuple[float, Callable[[], Any]]], turns: int) -> dict[str, dict[str, float]]:
+    """Return figures by case, of the fastest of some runs in turns."""
+    best = dict.fromkeys(cases, np.inf)
+    for turn in range(turns + 1):
+        for name, (_, run) in cases.items():
+            started = time.perf_counter()
+            run()
+            if turn:  # the first one compiles
+                best[name] = min(best[name], time.perf_counter() - started)
+    rates = {name: work / best[name] for name, (work, _) in cases.items()}
+    found = {name: {RATE: rates[name] / 1e9, SHARE: rates[name] / rates["NumPy"]} for name in ("NumPy", *NETWORKS)}
+    found |= {name: {"ticks a second": rates[name]} for name in cases if name not in found}
+    paper = next(iter(NETWORKS))
+    training, _ = config.read(places.CONFIGS / "training" / "paper.toml")
+    operations = 6.0 * weights(training.start(0)) * ROWS * training.training.epochs
+    found["the paper's network, all epochs"] = {
+        "operations": operations,
+        "here [h]": operations / rates[paper] / 3600.0,
+        "on an H200 at its peak [min]": operations / H200 / 60.0,
+    }
+    return found
+
+
+def below(found: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Return the networks whose share of NumPy's rate is below what is stored."""
+    stored = kept.read(NAME).summary
+    return [name for name in NETWORKS if found[name][SHARE] < SLACK * stored[name][SHARE]]
+
+
+def store(found: Mapping[str, Mapping[str, float]]) -> None:
+    """Keep what was measured."""
+    git = manifest.git_state()
+    document = kept.Kept(
+        name=NAME,
+        result=f"bench/{NAME}",
+        title=TITLE,
+        about=f"{manifest.device()}",
+        command="python -m experiments.tools.bench_train --store",
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        commit=None if git["dirty"] else git["commit"],
+        digest="",
+        summary={case: {name: float(f"{value:.4g}") for name, value in of.items()} for case, of in found.items()},
+    )
+    write_text(kept.FOLDER / f"{NAME}.json", kept.to_json(document))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,43 @@
+"""The benchmark of training: its steps are our loop's, and a network that has become slower is named."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from experiments.tools import bench_train as bench
+from jax_aero.results import kept
+
+
+def test_a_step_of_the_loop_has_six_operations_per_weight_and_row(monkeypatch):
+    monkeypatch.setattr(bench, "PRODUCT", 4)
+    monkeypatch.setattr(bench, "NETWORKS", {"2 × 3": (3, 3)})
+    cases = bench.networks()
+    assert cases["NumPy"][0] == 2 * 4**3
+    assert cases["2 × 3"][0] == 6 * 4 * (22 * 3 + 3 * 3 + 3 * 39)
+    layers, adam, loss = cases["2 × 3"][1]()
+    assert (layers[1].weight.shape, int(adam.count)) == ((1, 3, 3), 1)
+    assert float(loss) > 0.0
+
+
+def test_rates_are_those_of_the_fastest_run(monkeypatch):
+    """The first run of each does not count; a network takes twice the time that NumPy takes for as much."""
+    clock, cases = [0.0], {}
+
+    def case(work, *seconds):
+        times = iter(seconds)
+        return work, lambda: clock.__setitem__(0, clock[0] + next(times))
+
+    monkeypatch.setattr(bench.time, "perf_counter", lambda: clock[0])
+    cases = {"NumPy": case(2e9, 0.1, 2.0, 1.0)} | {name: case(1e9, 0.1, 1.0, 1.5) for name in bench.NETWORKS}
+    found = bench.measure(cases | {"robots": case(64, 9.0, 0.5, 0.25)}, 2)
+    assert found["4 × 128"] == pytest.approx({"GFLOP/s": 1.0, "share of NumPy's": 0.5})
+    assert found["robots"] == {"ticks a second": 256.0}
+    paper = found["the paper's network, all epochs"]
+    assert paper["here [h]"] == pytest.approx(paper["operations"] / 1e9 / 3600.0)
+
+
+def test_a_network_below_its_stored_share_is_named(monkeypatch):
+    shares = {name: {"share of NumPy's": share} for name, share in zip(bench.NETWORKS, (1.2, 1.0, 0.8), strict=True)}
+    monkeypatch.setattr(kept, "read", lambda _: SimpleNamespace(summary=shares))
+    assert bench.below(shares) == []
+    assert bench.below(shares | {"4 × 256": {"share of NumPy's": 0.89}}) == ["4 × 256"]
