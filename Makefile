@@ -198,7 +198,7 @@ bench: $(PACKAGES) ## measure every part of a tick, the crate beside Pinocchio, 
 	cargo bench --locked --bench dynamics --bench aero
 	$(BIN)/python -m experiments.tools.bench
 	$(BIN)/python -m experiments.tools.bench_jax
-	$(BIN)/python -m experiments.tools.bench_train
+	taskset -c 0 $(BIN)/python -m experiments.tools.bench_train
 
 figures: $(PACKAGES) ## fly the demo's flights, and draw every figure whose results are there
 	$(BIN)/jax-aero fly $(DEMO) --overwrite

@@ -1,9 +1,10 @@
-"""Measure what training takes: `python -m experiments.tools.bench_train`.
+"""Measure what training takes: `taskset -c 0 python -m experiments.tools.bench_train`.
 
 A step of our loop with each network is measured in turns with NumPy's product of two matrices of 2048 × 2048 in single
 precision, whose rate is what the machine reaches at the same time; so is a tick of the environments, without restarts.
-Prints all of it. The status is 1 if a network reaches a share of NumPy's rate more than a tenth below that of
-`docs/results/bench_train.json`, which `--store` replaces.
+Times are processor times of one core, in which other programs do not count. Prints all of it. The status is 1 if a
+network reaches a share of NumPy's rate more than a tenth below that of `docs/results/bench_train.json`, which `--store`
+replaces.
 """
 
 from __future__ import annotations
@@ -110,10 +111,10 @@ def measure(cases: Mapping[str, tuple[float, Callable[[], Any]]], turns: int) ->
     best = dict.fromkeys(cases, np.inf)
     for turn in range(turns + 1):
         for name, (_, run) in cases.items():
-            started = time.perf_counter()
+            started = time.process_time()
             run()
             if turn:  # the first one compiles
-                best[name] = min(best[name], time.perf_counter() - started)
+                best[name] = min(best[name], time.process_time() - started)
     rates = {name: work / best[name] for name, (work, _) in cases.items()}
     found = {name: {RATE: rates[name] / 1e9, SHARE: rates[name] / rates["NumPy"]} for name in ("NumPy", *NETWORKS)}
     found |= {name: {"ticks a second": rates[name]} for name in cases if name not in found}
@@ -122,7 +123,7 @@ def measure(cases: Mapping[str, tuple[float, Callable[[], Any]]], turns: int) ->
     operations = 6.0 * weights(training.start(0)) * ROWS * training.training.epochs
     found["the paper's network, all epochs"] = {
         "operations": operations,
-        "here [h]": operations / rates[paper] / 3600.0,
+        "on one core here [h]": operations / rates[paper] / 3600.0,
         "on an H200 at its peak [min]": operations / H200 / 60.0,
     }
     return found
@@ -142,7 +143,7 @@ def store(found: Mapping[str, Mapping[str, float]]) -> None:
         result=f"bench/{NAME}",
         title=TITLE,
         about=f"{manifest.device()}",
-        command="python -m experiments.tools.bench_train --store",
+        command="taskset -c 0 python -m experiments.tools.bench_train --store",
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         commit=None if git["dirty"] else git["commit"],
         digest="",
