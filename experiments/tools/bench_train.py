@@ -21,7 +21,6 @@ import jax.numpy as jnp
 import numpy as np
 from msgspec import structs
 
-from experiments.report.page import table
 from jax_aero.aero.network import Network
 from jax_aero.base import places
 from jax_aero.base.arguments import count
@@ -29,6 +28,7 @@ from jax_aero.base.files import write_text
 from jax_aero.env import FlightEnv, Task
 from jax_aero.env_gym import HoverVectorEnv
 from jax_aero.results import kept, manifest
+from jax_aero.results.study import listing
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.train import config, loop
 from jax_aero.train.adam import adam_start
@@ -57,8 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--store", action="store_true", help="store what is measured")
     given = parser.parse_args(arguments)
     found = measure(networks() | environments(), given.turns)
-    for case, figures in found.items():
-        print(table([[f"{value:.4g}" for value in figures.values()]], case, *figures))
+    print(listing(found))
     slower = [] if given.store else below(found)
     if given.store:
         store(found)

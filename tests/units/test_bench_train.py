@@ -1,7 +1,5 @@
 """The benchmark of training: its steps are our loop's, and a network that has become slower is named."""
 
-from types import SimpleNamespace
-
 import pytest
 
 from experiments.tools import bench_train as bench
@@ -36,8 +34,15 @@ def test_rates_are_those_of_the_fastest_run(monkeypatch):
     assert paper["on one core here [h]"] == pytest.approx(paper["operations"] / 1e9 / 3600.0)
 
 
-def test_a_network_below_its_stored_share_is_named(monkeypatch):
+def test_a_network_below_its_stored_share_is_named(monkeypatch, tmp_path, capsys):
     shares = {name: {"share of NumPy's": share} for name, share in zip(bench.NETWORKS, (1.2, 1.0, 0.8), strict=True)}
-    monkeypatch.setattr(kept, "read", lambda _: SimpleNamespace(summary=shares))
-    assert bench.below(shares) == []
-    assert bench.below(shares | {"4 × 256": {"share of NumPy's": 0.89}}) == ["4 × 256"]
+    slower = shares | {"4 × 256": {"share of NumPy's": 0.89}}
+    monkeypatch.setattr(kept, "FOLDER", tmp_path)
+    monkeypatch.setattr(bench, "networks", dict)
+    monkeypatch.setattr(bench, "environments", dict)
+    kept.read.cache_clear()
+    for found, words, status in ((shares, ["--store"], 0), (shares, [], 0), (slower, [], 1)):
+        monkeypatch.setattr(bench, "measure", lambda *_, found=found: found)
+        assert bench.main(words) == status
+        assert ("4 × 256: more than a tenth below" in capsys.readouterr().out) == bool(status)
+    kept.read.cache_clear()
