@@ -311,7 +311,7 @@ class ModelError(Struct, frozen=True, kw_only=True):
     of_plant: bool | None = None
     thrust_axes: tuple[tuple[float, float, float], ...] = ()
 
-OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity"]
+OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity", "height"]
 
 OutageKind: TypeAlias = Literal["missing", "nan", "frozen", "wrong"]
 
@@ -437,6 +437,14 @@ class SensorConfig(Struct, frozen=True, kw_only=True):
     period: float = 0.0
 
 
+class HeightSensorConfig(Struct, frozen=True, kw_only=True):
+    bias: float = 0.0
+    delay: float = 0.0
+    gaps: float = 0.0
+    noise_std: float = 0.0
+    period: float = 0.0
+
+
 class TrembleConfig(Struct, frozen=True, kw_only=True):
     amplitude: float
     frequency: float
@@ -462,6 +470,7 @@ class SensorsConfig(Struct, frozen=True, kw_only=True):
     base_linear_velocity: SensorConfig = SensorConfig()
     base_position: SensorConfig = SensorConfig()
     base_rotation: SensorConfig = SensorConfig()
+    height: HeightSensorConfig | None = None
     joints: EncoderConfig = EncoderConfig()
     seed: int = 0
     thrust: ThrustSensorConfig = ThrustSensorConfig()
@@ -476,6 +485,7 @@ class SimulatorConfig(Struct, frozen=True, kw_only=True):
     fall: FallConfig
     fuel: dict[str, Any] | None = None
     ground: dict[str, Any] | None = None
+    ground_height: float | None = None
     initial: InitialConfig
     integrator: Integrator = "semi_implicit_euler"
     jets: JetsConfig

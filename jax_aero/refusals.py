@@ -51,6 +51,7 @@ GROUND, CHANNELS, DETECTION = "ground contact", "channels", "fault detection"
 
 REFUSALS = (
     Refusal("simulator.ground", GROUND, lambda config: config.simulator.ground),
+    Refusal("simulator.ground_height", GROUND, lambda config: config.simulator.ground_height),
     Refusal("controller.contact", GROUND, lambda config: config.controller.contact, is_of_law=True),
     Refusal("controller.use_jets", GROUND, lambda config: not config.controller.use_jets, "true", is_of_law=True),
     Refusal("simulator.fuel", "fuel", lambda config: config.simulator.fuel),
@@ -73,6 +74,7 @@ REFUSALS = (
         for name in BASE_SENSORS
         for key in ("period", "gaps")
     ),
+    Refusal("simulator.sensors.height", CHANNELS, lambda config: getattr(config.simulator.sensors, "height", None)),
     Refusal(
         "disturbances.outages",
         CHANNELS,

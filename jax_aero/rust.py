@@ -219,6 +219,9 @@ class Measurement(NamedTuple):
         (feet, 6).
     shaft_speed
         Speed of the shaft of every jet, a share of the full speed; NaN where it is not measured.
+    height
+        Height of the base origin above that on the ground on which the robot is to land, in the posture in which the
+        flight begins [m]; `None` where it is not measured, and of the true robot.
     setpoint
         What a controller of one's own is to follow; `None` elsewhere.
     """
@@ -229,6 +232,7 @@ class Measurement(NamedTuple):
     wind: Array
     foot_wrenches: Array
     shaft_speed: Array
+    height: float | None = None
     setpoint: Setpoint | None = None
 
 
@@ -497,6 +501,7 @@ class Controller:
         time: float = 0.0,
         foot_wrenches: ArrayLike | None = None,
         shaft_speed: ArrayLike | None = None,
+        height: float | None = None,
     ) -> ControllerState:
         """Begin a flight with a measurement, without computing a tick. Parameters are those of `tick`.
 
@@ -506,7 +511,7 @@ class Controller:
             If the measurement is not finite or of the wrong size, or if its base rotation is not a rotation.
         """
         feet, speed = (None if given is None else _array(given) for given in (foot_wrenches, shaft_speed))
-        self._core.start(time, _arrays(state), _array(thrust), _array(wind), feet, speed)
+        self._core.start(time, _arrays(state), _array(thrust), _array(wind), feet, speed, height)
         started = self._core.state
         if started is None:
             raise AssertionError("a started flight has a state")
@@ -523,6 +528,7 @@ class Controller:
         preview: Preview | None = None,
         residual: Residual | None = None,
         shaft_speed: ArrayLike | None = None,
+        height: float | None = None,
     ) -> Tick:
         """Compute one tick.
 
@@ -550,6 +556,8 @@ class Controller:
         shaft_speed
             Speed of the shaft of every jet, a share of the full speed, from which a controller with `shaft` has its
             thrust; NaN where it is not measured, and `thrust` is used.
+        height
+            Height of the base origin above that on the ground [m], as of `Measurement`.
         """
         now = None if setpoint is None else _numbers(setpoint)
         feet, speed = (None if given is None else _array(given) for given in (foot_wrenches, shaft_speed))
@@ -560,7 +568,9 @@ class Controller:
         if residual is not None:
             added = _array(residual.thrust_rate), _array(residual.joint_velocity), residual.replaces
         return _tick(
-            self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, added, speed)
+            self._core.tick(
+                time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, added, speed, height
+            )
         )
 
     def tick_torques(
@@ -809,8 +819,8 @@ class Flight:
         added = None if residual is None else (_array(residual.thrust_rate), _array(residual.joint_velocity))
         given = None
         if measurement is not None:
-            _, state, thrust, wind, feet, speed, _ = measurement
-            given = _arrays(state), _array(thrust), _array(wind), _array(feet), _array(speed)
+            _, state, thrust, wind, feet, speed, height, _ = measurement
+            given = _arrays(state), _array(thrust), _array(wind), _array(feet), _array(speed), height
         return self._core.step(
             setpoint=None if setpoint is None else _numbers(setpoint),
             residual=None if residual is None or added is None else (*added, residual.replaces),
@@ -1219,7 +1229,7 @@ def recorded_reference(path: str | PathLike[str]) -> Array:
 
 
 def _measurement(raw: _core._Measurement) -> Measurement:
-    numbers = raw["thrust"], raw["wind"], raw["foot_wrenches"], raw["shaft_speed"]
+    numbers = raw["thrust"], raw["wind"], raw["foot_wrenches"], raw["shaft_speed"], raw["height"]
     return Measurement(raw["time"], State(*raw["state"]), *numbers)
 
 

@@ -97,8 +97,8 @@ REPEATED = {f"raw_{name}": name for name in ("base_position", "base_velocity", "
 
 
 def is_repeated(signal: str, log: Mapping[str, NDArray[np.float64]]) -> bool:
-    """Return whether a file leaves out this signal of a log, also speeds of shafts that nothing measures."""
-    if signal == "raw_shaft_speed":
+    """Return whether a file leaves out this signal of a log, also what nothing measures."""
+    if signal in ("raw_shaft_speed", "raw_height"):
         return bool(np.isnan(log[signal]).all())
     return signal in REPEATED and log[signal].tobytes() == log[REPEATED[signal]].tobytes()
 

@@ -54,6 +54,7 @@ def _complete(found: xr.Dataset) -> xr.Dataset:
         left_out: dict[str, Any] = {raw: found[name] for raw, name in REPEATED.items() if name in found}
         if "thrust" in found:
             left_out["raw_shaft_speed"] = xr.full_like(found["thrust"], np.nan)
+        left_out["raw_height"] = xr.full_like(found["time"], np.nan)
         found = found.assign({name: values for name, values in left_out.items() if name not in found})
     if "rotation_error" in found:
         for name, signal in rust.signals().items():

@@ -48,6 +48,7 @@ class _Measurement(Structure):
         ("wind", c_double * 3),
         ("foot_wrenches", Numbers),
         ("shaft_speed", Numbers),
+        ("height", Numbers),
     )
 
 
@@ -117,7 +118,7 @@ def _measurements(flight: FlightResult) -> Iterator[_Measurement]:
     parts = ("base_position", "base_rotation", "base_velocity", "joint_position", "joint_velocity", "thrust", "wind")
     for k, time in enumerate(log["time"]):
         raw = [log[f"raw_{name}"][k] for name in parts]
-        raw += [log[name][k] if name in log else None for name in ("foot_wrench", "raw_shaft_speed")]
+        raw += [log[name][k] if name in log else None for name in ("foot_wrench", "raw_shaft_speed")] + [log["raw_height"][k : k + 1]]
         yield _Measurement(
             time,
             *(

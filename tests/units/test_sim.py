@@ -88,7 +88,7 @@ def test_what_a_controller_does_not_compute_is_nan(own_flight):
     """It has no set-point, no estimates and no QP; the flight is too short for figures of what comes after settling."""
     signals = {"base_rpy_setpoint", "com_setpoint", "rotation_error", "joint_velocity_command", "aero_force_control"}
     signals |= {"momentum_setpoint", "momentum_rate_estimate", "unmodelled_wrench", "degraded_modes", "joint_condition"}
-    signals |= {"measured_torque_latency", "measured_thrust_latency", "raw_shaft_speed"}
+    signals |= {"measured_torque_latency", "measured_thrust_latency", "raw_shaft_speed", "raw_height"}
     assert own_flight["unknown"] == signals | {"qp_status", "qp_kkt", "qp_iterations"}
     figures = {"max_rotation_error", "time_above_45_deg", "ticks_without_solution", "max_kkt", "max_qp_iterations"}
     figures |= {"max_aero_force_difference", "degraded_time", "rms_com_error", "rms_rotation_error"}

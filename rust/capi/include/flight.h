@@ -66,6 +66,8 @@ typedef enum FlightMode {
   FLIGHT_TORQUE_HELD = 8388608,
   // An engine whose thrust is not measured has stopped, as the momentum shows.
   FLIGHT_ENGINE_STOPPED = 16777216,
+  // The height above the ground has not been measured for 0.15 s: the ground is where it was found last.
+  FLIGHT_GROUND_HELD = 33554432,
 } FlightMode;
 
 // Version of the library to which this header belongs: 10000 major + 100 minor + patch.
@@ -146,6 +148,9 @@ typedef struct FlightMeasurement {
   // Speeds of the shafts, shares of the full speed, one per jet; NaN where they are not measured, null for none. Only a
   // controller with `controller.shaft` reads them: the thrust follows from the speed.
   const double *shaft_speed;
+  // Height of the base origin above that on the ground on which the robot is to land, in the posture in which the flight
+  // begins [m]; NaN or null where it is not measured.
+  const double *height;
 } FlightMeasurement;
 
 // Set-point of a tick, for programs with their own planner.

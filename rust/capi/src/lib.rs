@@ -136,6 +136,9 @@ pub struct FlightMeasurement {
     /// Speeds of the shafts, shares of the full speed, one per jet; NaN where they are not measured, null for none. Only a
     /// controller with `controller.shaft` reads them: the thrust follows from the speed.
     pub shaft_speed: *const f64,
+    /// Height of the base origin above that on the ground on which the robot is to land, in the posture in which the flight
+    /// begins [m]; NaN or null where it is not measured.
+    pub height: *const f64,
 }
 
 /// Set-point of a tick, for programs with their own planner.
@@ -241,7 +244,8 @@ impl FlightController {
     /// # Safety
     /// The arrays of `given` have the documented lengths.
     unsafe fn read(&mut self, given: &FlightMeasurement) -> Result<(), &'static str> {
-        let Measurement { time, state, thrust, shaft_speed, wind, foot_wrenches } = &mut self.measured;
+        let Measurement { time, state, thrust, shaft_speed, wind, foot_wrenches, height } =
+            &mut self.measured;
         let joints = state.n_joints();
         let arrays = [
             ("joint_position", given.joint_position, joints),
@@ -266,6 +270,8 @@ impl FlightController {
             copy_in(given.thrust, thrust);
         }
         (*time, *wind) = (given.time, Vector3::from(given.wind));
+        // SAFETY: null or one number by this function's contract.
+        *height = unsafe { given.height.as_ref() }.copied();
         if given.shaft_speed.is_null() {
             shaft_speed.fill(f64::NAN);
         } else {
@@ -882,6 +888,7 @@ pub unsafe extern "C" fn flight_robot_measure(
             wind: robot.wind.velocity(time).into(),
             foot_wrenches: null(),
             shaft_speed: null(),
+            height: null(),
         };
         // SAFETY: space for a measurement, by this function's contract.
         unsafe { measurement.write(measured) };

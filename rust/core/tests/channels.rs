@@ -39,6 +39,60 @@ fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
     assert_eq!(used.robot.state.velocity.rows(0, 6), before.rows(0, 6));
 }
 
+/// A height that is measured is used; without one that can be right the last one moves with the base, and after 0.15 s a mode says
+/// so. A step of the ground is believed when predictions have been contradicted for long enough.
+#[test]
+fn a_height_is_measured_predicted_or_stepped() {
+    let mut rig = Rig::new(with_jumps());
+    let climb = rig.sample.state.velocity[2];
+    let tick = |rig: &mut Rig, height: Option<f64>| {
+        let used = rig.tick(|sample| sample.height = height);
+        let (found, is_held) = (used.robot.height, used.modes.contains(Modes::GROUND_HELD));
+        (found, rig.channels.new_height(&rig.state, &rig.used), is_held)
+    };
+    assert_eq!(tick(&mut rig, None), (None, None, false), "a robot need not measure it");
+    assert_eq!(tick(&mut rig, Some(f64::NAN)), (None, None, false));
+    let mut height = 4.0;
+    for _ in 0..6 {
+        height += STEP * climb;
+        assert_eq!(tick(&mut rig, Some(height)), (Some(height), Some(height), false));
+    }
+    for (spoilt, held) in [(None, false), (Some(f64::NAN), false), (Some(height + 0.4), false)] {
+        let (found, new, is_held) = tick(&mut rig, spoilt);
+        height += STEP * climb;
+        assert_within!((found.unwrap() - height).abs(), 1e-12);
+        assert_eq!((new, is_held), (None, held));
+    }
+    height += STEP * climb;
+    assert_eq!(tick(&mut rig, Some(height)).1, Some(height), "it is measured again");
+    assert_eq!(tick(&mut rig, Some(height)), (Some(height), None, false), "the same bits are not new");
+    let ticks = (0..40).find(|_| {
+        height += STEP * climb;
+        tick(&mut rig, Some(height + 0.5 + STEP * climb)).1.is_some()
+    });
+    assert_eq!(ticks, Some(8), "of seven measurements before");
+    for tick_without in 1..20 {
+        let (_, new, is_held) = tick(&mut rig, None);
+        assert_eq!((new, is_held), (None, tick_without > 15), "{tick_without}");
+    }
+}
+
+/// A height that keeps its bits while the base moves is frozen: it is not used until they change.
+#[test]
+fn a_frozen_height_is_not_used() {
+    let mut rig = Rig::new(with_jumps());
+    rig.acting.acceleration.fill(0.0);
+    rig.sample.state.velocity[2] = -1.0;
+    let mut is_used = Vec::new();
+    for _ in 0..10 {
+        rig.tick(|sample| sample.height = Some(2.0));
+        is_used.push(rig.used.robot.height == Some(2.0));
+    }
+    assert_eq!(is_used, [[true; 4], [true, false, false, false]].concat().into_iter().chain([false; 2]).collect::<Vec<_>>());
+    rig.tick(|sample| sample.height = Some(1.9));
+    assert_eq!(rig.channels.new_height(&rig.state, &rig.used), Some(1.9));
+}
+
 /// What makes a measurement unusable.
 type Spoil = fn(&mut Measurement);
 

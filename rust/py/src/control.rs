@@ -104,7 +104,8 @@ impl Controller {
     }
 
     /// Start a flight: position, attitude and posture of this measurement become the reference.
-    #[pyo3(signature = (time, state, thrust, wind, foot_wrenches = None, shaft_speed = None))]
+    #[pyo3(signature = (time, state, thrust, wind, foot_wrenches = None, shaft_speed = None, height = None))]
+    #[allow(clippy::too_many_arguments)]
     fn start(
         &mut self,
         time: f64,
@@ -113,8 +114,10 @@ impl Controller {
         wind: Input<'_>,
         foot_wrenches: Option<Input<'_>>,
         shaft_speed: Option<Input<'_>>,
+        height: Option<f64>,
     ) -> PyResult<()> {
-        let measured = self.read_measurement(time, &state, (&thrust, shaft_speed), &wind, foot_wrenches)?;
+        let measured =
+            self.read_measurement(time, &state, (&thrust, shaft_speed), &wind, foot_wrenches, height)?;
         self.state = Some(self.controller.start(&measured).map_err(plain_error)?);
         Ok(())
     }
@@ -126,7 +129,7 @@ impl Controller {
     /// rates, joint velocities, and whether they replace the answer of the law; then the mission is followed.
     #[pyo3(signature = (
         time, state, thrust, wind, setpoint = None, foot_wrenches = None, setpoints_ahead = vec![], wind_ahead = None,
-        residual = None, shaft_speed = None
+        residual = None, shaft_speed = None, height = None
     ))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
@@ -142,6 +145,7 @@ impl Controller {
         wind_ahead: Option<Input<'py>>,
         residual: Option<(Input<'py>, Input<'py>, bool)>,
         shaft_speed: Option<Input<'py>>,
+        height: Option<f64>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let setpoint = setpoint.map(setpoint_from_dict).transpose()?;
         let later = |(time, given): &(f64, Bound<'py, PyDict>)| Ok((*time, setpoint_from_dict(given)?));
@@ -153,7 +157,8 @@ impl Controller {
         let winds: Vec<_> =
             winds.chunks_exact(4).map(|row| (row[0], Vector3::from_column_slice(&row[1..]))).collect();
         let preview = Preview { setpoints: &setpoints, wind: &winds };
-        let measured = self.read_measurement(time, &state, (&thrust, shaft_speed), &wind, foot_wrenches)?;
+        let measured =
+            self.read_measurement(time, &state, (&thrust, shaft_speed), &wind, foot_wrenches, height)?;
         let state = match &mut self.state {
             Some(state) => state,
             none => none.insert(self.controller.start(&measured).map_err(plain_error)?),
@@ -275,6 +280,7 @@ impl Controller {
         (thrust, shaft_speed): (&Input<'_>, Option<Input<'_>>),
         wind: &Input<'_>,
         foot_wrenches: Option<Input<'_>>,
+        height: Option<f64>,
     ) -> PyResult<Measurement> {
         let jets = [self.controller.n_jets()];
         let shaft_speed = shaft_speed.map(|speed| entries("shaft_speed", &speed, &jets)).transpose()?;
@@ -285,6 +291,7 @@ impl Controller {
             shaft_speed: shaft_speed.unwrap_or_default(),
             wind: vector3("wind", wind)?,
             foot_wrenches: self.foot_wrenches(foot_wrenches)?,
+            height,
         })
     }
 

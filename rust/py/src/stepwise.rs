@@ -124,6 +124,7 @@ impl Flight {
         (truth.state, truth.wind) = (plant.state().clone(), *wind);
         truth.thrust.copy_from_slice(plant.jets().thrust_feedback());
         truth.shaft_speed.fill(f64::NAN);
+        truth.height = None;
         let out = measurement_dict(py, &truth)?;
         self.check_world()?;
         Ok(out)
@@ -152,15 +153,15 @@ impl Flight {
 
     /// Fly one tick; return whether the flight goes on. `setpoint` (a dict) replaces that of the mission; `residual` are
     /// thrust rates, joint velocities, and whether they replace the answer of the law; `command` thrust rates and torques in
-    /// place of the controller's; `measurement` state, thrusts, wind, wrenches of the controller's feet and speeds of shafts in
-    /// place of the measured ones; `link_forces` (links, 3) those in place of the air's.
+    /// place of the controller's; `measurement` state, thrusts, wind, wrenches of the controller's feet, speeds of shafts and
+    /// height in place of the measured ones; `link_forces` (links, 3) those in place of the air's.
     #[pyo3(signature = (setpoint = None, residual = None, command = None, measurement = None, link_forces = None))]
     fn step(
         &mut self,
         setpoint: Option<&Bound<'_, PyDict>>,
         residual: Option<(Input<'_>, Input<'_>, bool)>,
         command: Option<(Input<'_>, Input<'_>)>,
-        measurement: Option<(StateInput<'_>, Input<'_>, Input<'_>, Input<'_>, Input<'_>)>,
+        measurement: Option<(StateInput<'_>, Input<'_>, Input<'_>, Input<'_>, Input<'_>, Option<f64>)>,
         link_forces: Option<Input<'_>>,
     ) -> PyResult<bool> {
         let RobotModel { joints, jets, aero_links, .. } = self.flight.robot();
@@ -181,11 +182,11 @@ impl Flight {
             PyResult::Ok((rate, finite_entries("joint_torque", &torque, &[joints])?))
         });
         let command = command.transpose()?;
-        if let Some((state, thrust, wind, feet, speed)) = measurement {
+        if let Some((state, thrust, wind, feet, speed, height)) = measurement {
             let (state, thrust) = (measured_state(joints, &state)?, entries("thrust", &thrust, &[jets])?);
             let (wind, sample) = (vector3("wind", &wind)?, self.flight.sample_mut());
             let feet = entries("foot_wrenches", &feet, &[sample.foot_wrenches.len() / 6, 6])?;
-            (sample.state, sample.thrust, sample.wind) = (state, thrust, wind);
+            (sample.state, sample.thrust, sample.wind, sample.height) = (state, thrust, wind, height);
             sample.shaft_speed = entries("shaft_speed", &speed, &[jets])?;
             sample.foot_wrenches = DVector::from_vec(feet);
         }
@@ -239,13 +240,14 @@ impl Flight {
 }
 
 fn measurement_dict<'py>(py: Python<'py>, measurement: &Measurement) -> PyResult<Bound<'py, PyDict>> {
-    let Measurement { time, state, thrust, shaft_speed, wind, foot_wrenches } = measurement;
+    let Measurement { time, state, thrust, shaft_speed, wind, foot_wrenches, height } = measurement;
     let out = PyDict::new(py);
     out.set_item("time", *time)?;
     out.set_item("state", state_arrays(py, state)?)?;
     out.set_item("thrust", vector(py, thrust)?)?;
     out.set_item("shaft_speed", vector(py, shaft_speed)?)?;
     out.set_item("wind", vector(py, wind.as_slice())?)?;
+    out.set_item("height", *height)?;
     let wrenches = foot_wrenches.as_slice().to_vec();
     out.set_item("foot_wrenches", crate::arrays::array(py, &[wrenches.len() / 6, 6], wrenches)?)?;
     Ok(out)

@@ -192,6 +192,12 @@ pub struct SimulatorConfig {
     /// The ground, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<GroundConfig>,
+    /// Height of the ground on which the robot lands above that from which it starts \[m\], in back ends without contact:
+    /// in a descent it touches down where its centre of mass is as high above this ground as it was above the other. By
+    /// default they are one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -1e3, max = 1e3))]
+    pub ground_height: Option<f64>,
     /// The drives of the joints; without them torques are ideal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motors: Option<MotorsConfig>,

@@ -147,11 +147,11 @@ impl Flight {
         self.state.is_some() && self.scenario.controller.command().modes.contains(Modes::DESCENDING)
     }
 
-    /// Whether it descends and touches the ground, which is at the height at which the flight began where the world has none.
+    /// Whether it descends and touches the ground, whose height above the start is configured where the world has none.
     fn touches_down(&self) -> bool {
         let is_low = || {
             let com = self.log.series("com_position").map_or(&[][..], |series| &series.data);
-            matches!(com, [_, _, first, .., last] if last <= first)
+            matches!(com, [_, _, first, .., last] if *last <= first + self.scenario.ground_height)
         };
         let carries = |seen: &Seen| seen.foot_wrenches.iter().any(|wrench| wrench.z > 0.0);
         self.is_descending() && self.seen.as_ref().map_or_else(is_low, carries)

@@ -6,7 +6,7 @@
 //! ```
 
 use crate::config::ScenarioConfig;
-use crate::disturbances::{Outages, WindEstimator};
+use crate::disturbances::{Outage, OutageChannel, Outages, WindEstimator};
 use crate::sensors::Sensors;
 use crate::wind::Wind;
 use flight_core::control::{JointMeasurement, Measurement, Preview};
@@ -28,6 +28,8 @@ pub struct Measuring {
     outages: Outages,
     /// Engines whose speed is measured in place of the thrust; empty for none.
     shafts: Vec<Shaft>,
+    /// Height of the base origin at which the robot stands on the ground of its landing \[m\].
+    standing: f64,
     /// Thrusts of the last tick \[N\], which an outage that begins after it freezes.
     thrust: Vec<f64>,
     /// Measurement of the tick.
@@ -60,12 +62,20 @@ impl Measuring {
             WindEstimator::new(estimate, time_step, sum / (n_ticks + 1) as f64)
         };
         let sensors = simulator.sensors.as_ref();
+        let is_of_height = |outage: &Outage| outage.channel == OutageChannel::Height;
+        let measures_height = sensors.is_some_and(|sensors| sensors.height.is_some());
+        if let Some(place) = disturbances.outages.iter().position(is_of_height).filter(|_| !measures_height) {
+            let key = format!("disturbances.outages[{place}].channel");
+            let expected = "one that is measured: simulator.sensors.height is absent";
+            return Err(BuildError::bad_value(key, "height", expected));
+        }
         Ok(Self {
             sensors: sensors.map(|sensors| Sensors::new(sensors, time_step, joints, jets)).transpose()?,
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
             controller_wind,
             outages: Outages::new(&disturbances.outages, &robot.jets)?,
             shafts,
+            standing: simulator.initial.base_position[2] + simulator.ground_height.unwrap_or(0.0),
             thrust: vec![0.0; jets],
             sample: Measurement::zero(joints, jets, feet),
         })
@@ -89,6 +99,7 @@ impl Measuring {
         self.sample.state.copy_from(state);
         self.sample.thrust.copy_from_slice(thrust);
         if let Some(sensors) = &mut self.sensors {
+            self.sample.height = Some(state.base.position.z - self.standing);
             sensors.read(&mut self.sample);
         }
         self.outages.spoil(time, &mut self.sample);

@@ -27,6 +27,8 @@ pub struct Scenario {
     pub(crate) wind: Wind,
     pub(crate) measuring: Measuring,
     pub(crate) judge: Judge,
+    /// Height of the ground above that of the start \[m\].
+    pub(crate) ground_height: f64,
     pub(crate) time_step: f64,
     pub(crate) n_ticks: usize,
 }
@@ -71,8 +73,9 @@ impl Scenario {
         let controller = config.controller(robot)?;
         let (shafts, feet) = (plant.jets().measured_shafts(), controller.model().feet.len());
         let measuring = Measuring::new(config, plant.robot(), shafts, &wind, feet)?;
-        let n_ticks = config.n_ticks();
-        Ok(Self { plant, world: None, controller, wind, measuring, judge, time_step, n_ticks })
+        let (n_ticks, ground_height) = (config.n_ticks(), config.simulator.ground_height.unwrap_or(0.0));
+        let world = None;
+        Ok(Self { plant, world, controller, wind, measuring, judge, ground_height, time_step, n_ticks })
     }
 
     /// Builds a flight in another world.
@@ -176,6 +179,7 @@ fn of_world(config: &ScenarioConfig, robot: &RobotModel) -> Result<ScenarioConfi
     if let Some(motors) = &simulator.motors {
         check_only("simulator.motors.elasticity", &motors.elasticity, &None)?;
     }
+    check_only("simulator.ground_height", &simulator.ground_height, &None)?;
     check_only("simulator.fuel", &simulator.fuel, &None)?;
     if simulator.ground.as_ref().is_some_and(|ground| ground.leg_odometry.is_some()) {
         // Legs measure once per tick, and joints that have no errors of their own.

@@ -1,7 +1,7 @@
-//! Simulated sensors: pose and velocity of the base, joints, thrusts; and the wind ahead.
+//! Simulated sensors: pose and velocity of the base, joints, thrusts, height above the ground; and the wind ahead.
 //!
 //! ```text
-//! truth ──► delay ──► + bias + drift + noise ──► Measurement: state, thrust
+//! truth ──► delay ──► + bias + drift + noise ──► Measurement: state, thrust, height
 //! joints ──► delay ──► + bias + tremble ──► quantisation of the encoder ──► differences ──► low pass
 //! ```
 //!
@@ -24,6 +24,9 @@ const STREAM: u64 = 2;
 /// Stream of the seed from which gaps are drawn.
 const STREAM_OF_GAPS: u64 = 4;
 
+/// Stream of the noise and the gaps of heights: other sensors draw the same numbers with and without it.
+const STREAM_OF_HEIGHT: u64 = 5;
+
 /// What is not measured.
 const NONE: Vector3<f64> = Vector3::new(f64::NAN, f64::NAN, f64::NAN);
 
@@ -43,6 +46,9 @@ pub struct SensorsConfig {
     pub joints: EncoderConfig,
     /// Thrust of every jet.
     pub thrust: ThrustSensorConfig,
+    /// Height of the base origin above the ground on which the robot is to land; without it none is measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height: Option<HeightSensorConfig>,
     /// Time ahead \[s\] over which the controller receives the true wind of every tick, as from a lidar; zero for none.
     #[schemars(range(min = 0, max = 10))]
     pub wind_preview: f64,
@@ -68,6 +74,26 @@ pub struct SensorConfig {
     #[schemars(range(min = 0, max = 1))]
     pub period: f64,
     /// Share of the other measurements that are missing, drawn one by one.
+    #[schemars(range(min = 0, max = 1))]
+    pub gaps: f64,
+}
+
+/// A sensor of the height above the ground, less that of a robot that stands as at the start of the flight.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct HeightSensorConfig {
+    /// Bias of every measurement \[m\].
+    pub bias: f64,
+    /// Standard deviation of white noise, drawn for every measurement \[m\].
+    #[schemars(range(min = 0))]
+    pub noise_std: f64,
+    /// Age of the measurement, rounded to ticks \[s\].
+    #[schemars(range(min = 0, max = 1))]
+    pub delay: f64,
+    /// Time from one measurement to the next, rounded to ticks \[s\]; between them there is none. Zero: in every tick.
+    #[schemars(range(min = 0, max = 1))]
+    pub period: f64,
+    /// Share of the measurements that are missing, drawn one by one.
     #[schemars(range(min = 0, max = 1))]
     pub gaps: f64,
 }
@@ -161,6 +187,7 @@ pub struct Sensors {
     share: f64,
     noise: Noise,
     gaps: Noise,
+    noise_of_height: Noise,
     /// The last ticks, a ring buffer; `now` is the latest.
     line: Vec<Measurement>,
     now: usize,
@@ -200,6 +227,7 @@ impl Sensors {
         let of_base = [base_position, base_rotation, base_linear_velocity, base_angular_velocity];
         let delays =
             of_base.map(|sensor| sensor.delay).into_iter().chain([config.joints.delay, config.thrust.delay]);
+        let delays = delays.chain(config.height.as_ref().map(|sensor| sensor.delay));
         let oldest = age(delays.fold(0.0, f64::max), time_step);
         let nothing = Measurement::zero(joints, jets, 0);
         let time_constant = config.joints.velocity_time_constant.unwrap_or(0.0);
@@ -209,6 +237,7 @@ impl Sensors {
             share: share(time_step / time_constant),
             noise: Noise::new(config.seed, STREAM),
             gaps: Noise::new(config.seed, STREAM_OF_GAPS),
+            noise_of_height: Noise::new(config.seed, STREAM_OF_HEIGHT),
             line: vec![nothing.clone(); oldest + 1],
             now: 0,
             readings: 0,
@@ -242,7 +271,7 @@ impl Sensors {
         (positions, velocities)
     }
 
-    /// Replaces the true state and thrusts in `sample` by what the sensors read. Does not allocate.
+    /// Replaces the true state, thrusts and height in `sample` by what the sensors read. Does not allocate.
     ///
     /// Until a delay has passed, the first state is measured; the low pass of the joints starts in its steady state.
     pub fn read(&mut self, sample: &mut Measurement) {
@@ -253,6 +282,7 @@ impl Sensors {
             if place == self.now || !is_started {
                 tick.state.copy_from(&sample.state);
                 tick.thrust.copy_from_slice(&sample.thrust);
+                tick.height = sample.height;
             }
         }
         let (now, length) = (self.now, line.len());
@@ -311,6 +341,12 @@ impl Sensors {
         }
         sample.state.copy_from(&reading.state);
         sample.thrust.copy_from_slice(&reading.thrust);
+        sample.height = config.height.as_ref().and_then(|sensor| {
+            let is_due = readings.is_multiple_of(age(sensor.period, *time_step).max(1));
+            let is_there = is_due && self.noise_of_height.uniform() >= sensor.gaps;
+            let error = sensor.bias + sensor.noise_std * self.noise_of_height.normal();
+            then(sensor.delay).height.filter(|_| is_there).map(|height| height + error)
+        });
         self.readings = self.readings.saturating_add(1);
     }
 }

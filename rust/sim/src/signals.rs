@@ -343,6 +343,13 @@ pub static SIGNALS: &[Signal] = &[
     tick("raw_wind", XYZ, "m s-1", "wind velocity in that measurement, inertial frame", |row, out| {
         out.extend(&row.measurement.wind);
     }),
+    tick(
+        "raw_height",
+        TIME,
+        "m",
+        "height of the base origin in that measurement, above that on the ground",
+        |row, out| out.push(row.measurement.height.unwrap_or(f64::NAN)),
+    ),
     tick("qp_status", QP, "1", "outcome of each QP", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));
     })

@@ -85,6 +85,8 @@ modes! {
     MOMENTUM_HELD = 22, "momentum_held";
     /// The torque QP has no answer: torques keep their values.
     TORQUE_HELD = 23, "torque_held";
+    /// The height above the ground has not been measured for 0.15 s: the ground is where it was found last.
+    GROUND_HELD = 25, "ground_held";
 }
 
 impl Modes {

@@ -59,8 +59,11 @@ pub struct ControllerState {
     pub(super) setpoint: SetpointState,
     /// Reference posture `s_d`: the joint positions of the first tick \[rad\].
     pub(super) posture: DVector<f64>,
-    /// Height of the centre of mass at the first tick \[m\], taken for that at touch-down; `−∞` after a flight that began again.
+    /// Height of the centre of mass at touch-down \[m\]: that at the first tick, until a height above the ground is measured;
+    /// `−∞` where neither is known, after a flight that began again.
     pub(super) ground: f64,
+    /// Height of the centre of mass above the base origin at the first tick \[m\].
+    pub(super) stance: f64,
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
     pub(super) inertia_0_b: Matrix3<f64>,
     /// `∫(ṡ − ṡ*)` \[rad\].

@@ -123,6 +123,7 @@ impl Controller {
             setpoint: law.generator().start(com, &robot.base.rotation),
             posture: robot.joint_position.clone(),
             ground: com.z,
+            stance: com.z - robot.base.position.z,
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
@@ -373,7 +374,7 @@ fn begin_again(
     if let Some((com, inertia_0_b)) = reference(model, robot, kinematics, dynamics) {
         state.setpoint = generator.start(com, &robot.base.rotation);
         state.posture.copy_from(&robot.joint_position);
-        state.ground = f64::NEG_INFINITY;
+        (state.ground, state.stance) = (f64::NEG_INFINITY, com.z - robot.base.position.z);
         state.inertia_0_b = inertia_0_b;
         state.velocity_error_integral.fill(0.0);
         state.torque_is_known = false;

@@ -55,6 +55,8 @@ pub enum OutageChannel {
     BaseRotation,
     /// Velocity of the base, linear and angular.
     BaseVelocity,
+    /// Height above the ground.
+    Height,
 }
 
 /// What is measured during an outage.
@@ -159,6 +161,9 @@ impl Outages {
                     let before = &held.state.velocity.as_slice()[..6];
                     spoil(&mut sample.state.velocity.as_mut_slice()[..6], before);
                 }
+                // There may have been none when it froze.
+                OutageChannel::Height if outage.kind == OutageKind::Frozen => sample.height = held.height,
+                OutageChannel::Height => spoil(sample.height.as_mut_slice(), &[]),
             }
         }
     }

@@ -12,6 +12,7 @@
 //! feet              the wrenches that keep them at rest in the model
 //! thrusts           as the jets follow their commands
 //! joints and base   a step of the model with the last torques and the observed wrench
+//! height            that of the base
 //! ```
 //!
 //! A base velocity that is not measured, and not just between two measurements, follows the differences of the pose, if
@@ -91,6 +92,7 @@ fn limits(robot: &RobotModel, thrust: impl Fn(f64) -> f64, foot: [f64; 2], of: &
         *to = thrust(jet.thrust_max);
     }
     limits.wind.fill(of.wind);
+    limits.height = Some(of.height);
     let RobotState { base, joint_position, velocity } = &mut limits.state;
     joint_position.fill(of.joint_position);
     velocity.rows_mut(0, 3).fill(of.velocity);
@@ -133,6 +135,7 @@ impl Channels {
                     Channel::Position,
                     Channel::Rotation,
                     Channel::Feet,
+                    Channel::Height,
                 ])
                 .collect(),
             jets: models,
@@ -214,10 +217,11 @@ impl Channels {
         if self.refuses_jumps {
             self.check_ranges(now)?;
         }
-        // Where wind, thrusts or foot wrenches cannot be accepted: none, until they are.
+        // Where wind, thrusts, foot wrenches or height cannot be accepted: none, until they are.
         for channel in self.parts.iter().filter(|channel| !channel.is_vital()) {
             if !self.is_within(now, *channel) {
                 now.numbers_mut(*channel).into_iter().for_each(|numbers| numbers.fill(0.0));
+                now.height = now.height.filter(|_| *channel != Channel::Height);
             }
         }
         let state = ChannelsState {
@@ -343,7 +347,8 @@ impl Channels {
 
     /// Whether the numbers of a channel are in their range.
     fn is_plausible(&self, now: &Measurement, channel: Channel) -> bool {
-        self.is_within(now, channel)
+        now.is_measured(channel)
+            && self.is_within(now, channel)
             && (channel != Channel::Rotation || is_rotation(&now.state.base.rotation))
     }
 
@@ -387,8 +392,7 @@ impl Channels {
         let is_sound = is_plausible && self.is_expected(state, now, place, missed_ticks) && !is_contradicted;
         let is_same = state.is_begun && now.numbers(kind) == state.last.numbers(kind);
         let agrees = state.records[place].against > 0 && self.is_near(now, kind, &state.last, 1.0);
-        // The prediction of a wind does not move.
-        let leaves = kind.is_vital()
+        let leaves = kind.moves()
             && is_same
             && state.records[place].same.saturating_add(1) >= FROZEN_TICKS
             && !self.is_near(now, kind, &state.predicted, FROZEN_SHARE);
@@ -396,8 +400,8 @@ impl Channels {
         let was_new = record.age == 0.0 && record.same == 0;
         record.is_missing = !now.is_measured(kind);
         record.same = if is_same { record.same.saturating_add(1) } else { 0 };
-        // Of joints and base the same bits are no other measurement.
-        let counts = !is_same || !kind.is_vital();
+        // Of what moves the same bits are no other measurement.
+        let counts = !is_same || !kind.moves();
         if counts {
             record.against = u32::from(is_plausible && !is_sound) * (1 + u32::from(agrees) * record.against);
         }
@@ -414,13 +418,16 @@ impl Channels {
             } else if counts {
                 record.support = record.support.saturating_add(1).min(self.support_max);
             }
-            // For joints and base the prediction continues, to be compared with a value that may be frozen.
-            if !is_same || !kind.is_vital() {
+            // Of what moves the prediction continues, to be compared with a value that may be frozen.
+            if counts {
                 state.predicted.copy_channel(kind, now);
             }
         } else {
             record.age += dt;
-            modes.insert(kind.mode());
+            // A robot need not measure its height.
+            let is_usual =
+                kind == Channel::Height && (state.predicted.height.is_none() || record.age <= BETWEEN_MAX);
+            modes.insert_if(!is_usual, kind.mode());
         }
         was_new && state.records[place].age == 0.0 && !is_same && state.is_begun
     }
@@ -437,6 +444,9 @@ impl Channels {
         }
         predicted.base.rotation = exp_so3(&(angular * dt)) * predicted.base.rotation;
         bound(predicted.base.position.as_mut_slice(), self.greatest.state.base.position.as_slice());
+        let (height, most) = (state.predicted.height.as_mut_slice(), self.greatest.height.as_slice());
+        height.iter_mut().for_each(|height| *height += dt * linear.z);
+        bound(height, most);
     }
 
     /// Lets predicted base velocities that have not been measured for long follow the difference of the last two poses.
@@ -491,6 +501,13 @@ impl Channels {
         state.predicted.thrust[jet] -= deviation;
     }
 
+    /// The height above the ground, if it is measured anew in this tick, and accepted \[m\].
+    #[must_use]
+    pub fn new_height(&self, state: &ChannelsState, used: &Estimate) -> Option<f64> {
+        let record = &state.records[self.place(6)];
+        used.robot.height.filter(|_| record.age == 0.0 && record.same == 0)
+    }
+
     /// Writes what an estimator is given of a tick: NaN for values that were not accepted, except for a base velocity that
     /// follows the pose.
     pub fn select_accepted(&self, state: &ChannelsState, used: &Estimate, to: &mut Measurement) {
@@ -505,7 +522,8 @@ impl Channels {
     /// Whether state and thrusts of an estimate are in the accepted range.
     #[must_use]
     pub fn accept_estimate(&self, estimate: &Measurement) -> bool {
-        let of_sensors = |channel: &&Channel| !matches!(channel, Channel::Wind | Channel::Feet);
+        let of_sensors =
+            |channel: &&Channel| !matches!(channel, Channel::Wind | Channel::Feet | Channel::Height);
         self.parts.iter().filter(of_sensors).all(|channel| self.is_within(estimate, *channel))
     }
 
@@ -513,6 +531,7 @@ impl Channels {
     /// are neither needed nor measured are zero.
     fn read(&self, measurement: &Measurement, used: &mut Estimate) {
         used.robot.copy_from(measurement);
+        used.robot.height = measurement.height.filter(|height| height.is_finite());
         used.is_of_speed.fill(false);
         let thrusts = used.robot.thrust.iter_mut().zip(&mut used.is_of_speed);
         for (((thrust, is_of_speed), engine), speed) in
@@ -540,12 +559,18 @@ impl Channel {
             Self::Position => Modes::POSITION_PREDICTED,
             Self::Rotation => Modes::ROTATION_PREDICTED,
             Self::Feet => Modes::FEET_PREDICTED,
+            Self::Height => Modes::GROUND_HELD,
         }
     }
 
     /// Whether the robot descends if it is missing.
     fn is_vital(self) -> bool {
         matches!(self, Self::Joints | Self::Position | Self::Rotation) || self.is_velocity()
+    }
+
+    /// Whether it moves with the robot, and so does its prediction.
+    fn moves(self) -> bool {
+        self.is_vital() || self == Self::Height
     }
 
     /// Whether it is a velocity of the base.
@@ -564,6 +589,7 @@ impl Channel {
             Self::Position => "base_position",
             Self::Rotation => "base_rotation",
             Self::Feet => "foot_wrenches",
+            Self::Height => "height",
         }
     }
 }

@@ -30,6 +30,7 @@ pub const MAGNITUDES: Jumps = Jumps {
     velocity: 300.0,
     // 16 turns a second.
     angular_velocity: 100.0,
+    height: 1e6,
 };
 
 /// Greatest differences from the prediction. Thrusts and feet have no limit.
@@ -49,6 +50,8 @@ pub struct Jumps {
     pub velocity: f64,
     /// Angular velocity of the base \[rad/s\].
     pub angular_velocity: f64,
+    /// Height above the ground \[m\].
+    pub height: f64,
 }
 
 impl Jumps {
@@ -63,6 +66,8 @@ impl Jumps {
         velocity: 1.0,
         // Without a model the prediction is off by 2 in winds of 32 m/s.
         angular_velocity: 4.0,
+        // A step of the ground of 0.5 m is accepted after 0.7 s.
+        height: 0.3,
     };
 
     /// No limits.
@@ -74,5 +79,6 @@ impl Jumps {
         rotation: f64::INFINITY,
         velocity: f64::INFINITY,
         angular_velocity: f64::INFINITY,
+        height: f64::INFINITY,
     };
 }

@@ -24,6 +24,9 @@ pub struct Measurement {
     /// Wrench on each foot about the origin of its sole, force first, foot after foot \[N, N m, inertial axes\], in the
     /// order of the robot's feet. Only a controller with `contact` reads it; others accept none.
     pub foot_wrenches: DVector<f64>,
+    /// Height of the base origin above that on the ground on which the robot is to land, in the posture in which the flight
+    /// begins \[m\]; `None` or NaN where it is not measured.
+    pub height: Option<f64>,
 }
 
 /// Numbers of a measurement that are accepted or predicted together.
@@ -37,6 +40,7 @@ pub(in crate::control) enum Channel {
     Position,
     Rotation,
     Feet,
+    Height,
 }
 
 impl Measurement {
@@ -51,13 +55,14 @@ impl Measurement {
             shaft_speed: vec![f64::NAN; jets],
             wind: Vector3::zeros(),
             foot_wrenches: DVector::zeros(6 * feet),
+            height: None,
         }
     }
 
-    /// Copies state, thrusts, wind and foot wrenches of the same robot; does not allocate.
+    /// Copies state, thrusts, wind, height and foot wrenches of the same robot; does not allocate.
     pub(in crate::control) fn copy_from(&mut self, other: &Self) {
-        let Self { time, state, thrust, wind, foot_wrenches, .. } = other;
-        (self.time, self.wind) = (*time, *wind);
+        let Self { time, state, thrust, wind, foot_wrenches, height, .. } = other;
+        (self.time, self.wind, self.height) = (*time, *wind, *height);
         self.state.copy_from(state);
         self.thrust.copy_from_slice(thrust);
         if self.foot_wrenches.len() <= foot_wrenches.len() {
@@ -78,6 +83,7 @@ impl Measurement {
             Channel::Position => base.position.as_slice(),
             Channel::Rotation => base.rotation.as_slice(),
             Channel::Feet => self.foot_wrenches.as_slice(),
+            Channel::Height => self.height.as_slice(),
         };
         [run, &[]]
     }
@@ -97,6 +103,7 @@ impl Measurement {
             Channel::Position => base.position.as_mut_slice(),
             Channel::Rotation => base.rotation.as_mut_slice(),
             Channel::Feet => self.foot_wrenches.as_mut_slice(),
+            Channel::Height => self.height.as_mut_slice(),
         };
         [run, &mut []]
     }
@@ -104,6 +111,9 @@ impl Measurement {
     /// Copies the numbers of a channel.
     #[inline]
     pub(in crate::control) fn copy_channel(&mut self, channel: Channel, from: &Self) {
+        if channel == Channel::Height {
+            self.height = from.height; // which may have been absent here
+        }
         for (to, from) in self.numbers_mut(channel).into_iter().zip(from.numbers(channel)) {
             to.copy_from_slice(from);
         }
@@ -114,10 +124,11 @@ impl Measurement {
         self.numbers_mut(channel).into_iter().for_each(|numbers| numbers.fill(f64::NAN));
     }
 
-    /// Whether every number of a channel is finite.
+    /// Whether a channel has numbers, and every one is finite.
     #[inline]
     pub(in crate::control) fn is_measured(&self, channel: Channel) -> bool {
-        self.numbers(channel).into_iter().flatten().all(|number| number.is_finite())
+        let is_present = channel != Channel::Height || self.height.is_some();
+        is_present && self.numbers(channel).into_iter().flatten().all(|number| number.is_finite())
     }
 }
 
@@ -125,7 +136,7 @@ impl Measurement {
 /// of the last tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
-    /// State, thrusts, wind and foot wrenches, at the time of the controller (M108): that of the measurement, corrected for
+    /// State, thrusts, wind, foot wrenches and height, at the time of the controller (M108): that of the measurement, corrected for
     /// jumps of its clock.
     pub robot: Measurement,
     /// Standard deviation of the wind where it is estimated, else zero \[m/s\].

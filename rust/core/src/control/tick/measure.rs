@@ -11,7 +11,9 @@ impl Controller {
     /// Updates the estimate of the robot by a measurement; returns whether the measurement has the sizes of this robot.
     pub(super) fn measure(&mut self, measurement: &Measurement, state: &mut ControllerState) -> bool {
         let Self { channels, estimator, detectors, .. } = self;
-        let ControllerState { estimate, channels: memory, acting, wind, is_descending, .. } = state;
+        let ControllerState {
+            estimate, channels: memory, acting, wind, is_descending, ground, stance, ..
+        } = state;
         let is_usable = channels.fit(measurement);
         if is_usable {
             estimate.wind_std = wind.as_ref().map_or_else(Vector3::zeros, WindState::std);
@@ -30,6 +32,9 @@ impl Controller {
                 estimate.robot.state.copy_from(&found.state);
                 estimate.robot.thrust.copy_from_slice(&found.thrust);
             }
+        }
+        if let Some(height) = channels.new_height(memory, estimate) {
+            *ground = estimate.robot.state.base.position.z - height + *stance;
         }
         is_usable
     }
