@@ -23,7 +23,8 @@ NAMES = [*places.names("experiments"), JAX]
 
 NOT_STORED = {"time", "qp_kkt", "qp_iterations", "max_kkt", "max_qp_iterations", "degraded_modes", "joint_condition"}
 NOT_STORED |= {"measured_torque_latency", "measured_thrust_latency", "raw_height"}
-"""Residuals of the QP are rounding, the number of iterations is no property of the flight, and none measures its height."""
+"""Residuals of the QP are rounding, the number of iterations is no property of the flight; none measures its
+height."""
 
 DOUBLE = 1e-9
 """Tolerance in parts of a signal's range. Rounding differs by 2e-16 per operation, and where a row is stored a flight

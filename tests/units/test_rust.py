@@ -459,3 +459,68 @@ def test_a_measurement_may_have_speeds_of_shafts_in_place_of_thrusts():
         assert flight.step(measurement=seen)
         assert np.array_equal(asked.thrust_rate, whole["thrust_rate"][tick]) or tick > 0
         assert np.array_equal(flight.last.joint_torque, whole["joint_torque"][tick])
+
+
+HEIGHT = {"bias": 0.5, "noise_std": 0.02, "delay": 0.02, "period": 0.03, "gaps": 0.3}
+
+
+def test_a_height_above_another_ground_is_measured():
+    """Above a ground 2 m below the start, every third tick, with gaps and noise; a healthy flight keeps its bits."""
+    changes = {"simulator.duration": 6.0, "simulator.initial.base_velocity": [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]}
+    of_height = {"simulator.ground_height": -2.0, "simulator.sensors.height": HEIGHT}
+    usual, config = (rust.load_config("test2_sensors", changes | more) for more in ({}, of_height))
+    flight, plain = rust.fly(config), rust.fly(usual)
+    raw = flight["raw_height"]
+    assert np.isnan(plain["raw_height"]).all()
+    measured = np.flatnonzero(np.isfinite(raw))
+    assert (measured % 3 == 0).all()
+    assert 0.55 < len(measured) / 201 < 0.85
+    late = np.maximum(measured - 2, 0)
+    error = raw[measured] - (flight["base_position"][late, 2] - flight["base_position"][0, 2] + 2.0)
+    assert abs(np.mean(error) - 0.5) < 0.01  # five standard deviations of the mean
+    assert abs(np.std(error) - 0.02) < 0.005
+    for name in set(plain.log) - {"raw_height", "degraded_modes"}:
+        assert np.array_equal(plain[name], flight[name], equal_nan=True), name
+
+
+def test_a_height_that_is_lost_is_announced():
+    """Once it has been missing for 0.15 s; a flight without such a sensor has no such mode."""
+    config = rust.load_config("test2_sensors", {"simulator.duration": 0.5, "simulator.sensors.height": {}})
+    outage = {"channel": "height", "kind": "missing", "start": 0.1, "duration": 0.3}
+    with_outage = rust.load_config(
+        "test2_sensors",
+        {"simulator.duration": 0.5, "simulator.sensors.height": {}, "disturbances.outages": [outage]},
+    )
+    held = 1 << 25
+    assert not (rust.fly(config)["degraded_modes"].astype(int) & held).any()
+    found = np.flatnonzero(rust.fly(with_outage)["degraded_modes"].astype(int) & held)
+    assert (found[0] in (25, 26), found[-1]) == (True, 39)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        (
+            "test2",
+            {"disturbances.outages": [{"channel": "height", "kind": "missing", "start": 1.0}]},
+            "height is absent",
+        ),
+        ("take_off", {"simulator.ground_height": 0.5}, 'backend = "mujoco" simulates nothing else here'),
+        ("test2", {"simulator.ground_height": 2e3}, r"simulator\.ground_height"),
+        ("test2_sensors", {"simulator.sensors.height": {"gaps": 1.5}}, r"simulator\.sensors\.height\.gaps"),
+    ],
+)
+def test_a_height_that_cannot_be_is_refused(name, changes, message):
+    with pytest.raises(ConfigError, match=message):
+        rust.load_config(name, changes)
+
+
+def test_a_flight_with_heights_is_handed_back_and_replayed():
+    config = rust.load_config("test2_sensors", {"simulator.duration": 0.1, "simulator.sensors.height": HEIGHT})
+    whole, flight, controller = rust.fly(config), rust.Flight(config), rust.Controller(config)
+    for tick in range(5):
+        seen = flight.measurement
+        assert seen.height == whole["raw_height"][tick] or (seen.height is None and np.isnan(whole["raw_height"][tick]))
+        asked = controller.tick(seen.state, seen.thrust, seen.wind, seen.time, height=seen.height)
+        assert flight.step(measurement=seen)
+        assert np.array_equal(asked.thrust_rate, whole["thrust_rate"][tick]) or tick > 0
