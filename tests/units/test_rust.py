@@ -524,3 +524,27 @@ def test_a_flight_with_heights_is_handed_back_and_replayed():
         asked = controller.tick(seen.state, seen.thrust, seen.wind, seen.time, height=seen.height)
         assert flight.step(measurement=seen)
         assert np.array_equal(asked.thrust_rate, whole["thrust_rate"][tick]) or tick > 0
+
+
+def test_a_descent_is_planned_to_the_measured_ground():
+    """As high as the start it changes millimetres; to a lower one the robot sinks faster, to a higher one slower."""
+
+    def height_after(ground, sensors):
+        failure = {"jet": "l_arm_jet", "time": 0.3, "kind": "off"}
+        changes = {"simulator.duration": 1.0, "simulator.initial.base_velocity": [0.0, 0.0, 2.0, 0.0, 0.0, 0.0]}
+        changes |= {"disturbances.jets.failure": failure, "simulator.sensors": sensors}
+        flight = rust.fly(rust.load_config("robot", changes | {"simulator.ground_height": ground}))
+        return flight["com_position"][-1, 2]
+
+    unknown, same, lower, higher = (
+        height_after(ground, sensors)
+        for ground, sensors in (
+            (0.0, {"seed": 1}),
+            (0.0, {"height": {}}),
+            (-1.0, {"height": {}}),
+            (0.4, {"height": {}}),
+        )
+    )
+    assert abs(same - unknown) < 0.003
+    assert lower + 0.01 < same < higher - 0.01
+    assert height_after(-1.0, {"seed": 1}) == unknown, "nobody knows that it is lower"
