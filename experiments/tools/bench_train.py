@@ -42,7 +42,7 @@ SLACK = 0.9
 PRODUCT = 2048
 """Rows and columns of NumPy's matrices, and rows of a batch."""
 NETWORKS = {"10 × 1024": 10 * (1024,), "4 × 256": 4 * (256,), "4 × 128": 4 * (128,)}
-"""Hidden layers by name, with the inputs and outputs of the paper's network, of which the first is all."""
+"""Hidden layers by name; inputs and outputs are those of the paper's network, the first, which alone has dropout."""
 ROWS = 2 * 4826
 """Rows of the paper's free-stream table, with their mirror images."""
 H200 = 67e12
@@ -71,8 +71,9 @@ def networks() -> dict[str, tuple[float, Callable[[], Any]]]:
     left, right = rng.normal(size=(2, PRODUCT, PRODUCT)).astype(np.float32)
     cases = {"NumPy": (2.0 * PRODUCT**3, lambda: left @ right)}
     training, _ = config.read(places.CONFIGS / "training" / "paper.toml")
-    settings = structs.replace(training.training, batch=PRODUCT)
     for name, hidden in NETWORKS.items():
+        dropout = training.training.dropout if hidden == training.network.hidden else 0.0
+        settings = structs.replace(training.training, batch=PRODUCT, dropout=dropout)
         network = structs.replace(training, network=structs.replace(training.network, hidden=hidden)).start(0)
         cases[name] = 6.0 * PRODUCT * weights(network), step_of(network, settings, rng)
     return cases
