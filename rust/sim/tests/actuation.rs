@@ -172,7 +172,7 @@ fn a_measured_latency_is_used() {
     };
     // The observer's law with exact measurements and with sensors, and the predictive law in the realistic simulation.
     for (name, torque_delay, greatest) in
-        [("test2_observer", 0.01, 5.0), ("test2_sensors", 0.01, 8.0), ("robot", 0.025, 20.0)]
+        [("test2_observer", 0.01, 5.0), ("test2_sensors", 0.01, 8.0), ("robot", 0.02, 20.0)]
     {
         assert_ne!(fly(name, torque_delay, false).outcome, Outcome::Completed, "{name}");
         let flight = fly(name, torque_delay, true);
