@@ -445,7 +445,9 @@ impl Channels {
         predicted.base.rotation = exp_so3(&(angular * dt)) * predicted.base.rotation;
         bound(predicted.base.position.as_mut_slice(), self.greatest.state.base.position.as_slice());
         let (height, most) = (state.predicted.height.as_mut_slice(), self.greatest.height.as_slice());
-        height.iter_mut().for_each(|height| *height += dt * linear.z);
+        for value in height.iter_mut() {
+            *value += dt * linear.z;
+        }
         bound(height, most);
     }
 
