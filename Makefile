@@ -172,7 +172,7 @@ install-capi: ## install libflight for C and C++: header, libraries, files for p
 		> "$(INSTALLED)/lib/cmake/flight/flight-config-version.cmake"
 
 audit: $(PACKAGES) ## check licences, duplicates and known vulnerabilities, as far as they can be had; write dist/sbom.json
-	$(BIN)/python -m tests.tools.supply_chain audit
+	$(BIN)/python -m experiments.tools.supply_chain audit
 
 fuzz: $(PACKAGES) ## try other random files, flights and faults than the tests do (MINUTES=60)
 	end=$$(($$(date +%s) + 60 * $(MINUTES))); round=$$(date +%s); \

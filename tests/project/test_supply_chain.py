@@ -3,13 +3,13 @@
 import re
 from pathlib import Path
 
-from tests.tools import supply_chain
+from experiments.tools import supply_chain
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_every_pinned_package_has_hashes():
-    """Of the same version, and what `make demo` needs stands first; `tests.tools.supply_chain lock` writes them."""
+    """Of the same version, and what `make demo` needs stands first."""
     text = supply_chain.HASHED.read_text(encoding="utf-8")
     stanzas = supply_chain._stanzas(text)
     assert {*stanzas} == {
@@ -24,7 +24,7 @@ def test_every_pinned_package_has_hashes():
 
 
 def test_the_licences_of_what_a_wheel_holds_are_those_of_its_crates():
-    """`python -m tests.tools.supply_chain third-party` writes them; `license-files` puts them into the wheel."""
+    """`python -m experiments.tools.supply_chain third-party` writes them; `license-files` puts them into the wheel."""
     assert supply_chain.THIRD_PARTY.read_text(encoding="utf-8") == supply_chain.third_party()
     assert "THIRD_PARTY.md" in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 

@@ -1,8 +1,8 @@
 """What the project is made of: hashes of the pinned packages, licences, bill of materials, known vulnerabilities.
 
-`python -m tests.tools.supply_chain lock`   requirements.lock with hashes into requirements.hashed (needs uv)
-`python -m tests.tools.supply_chain third-party`   licences of the crates that a wheel holds into THIRD_PARTY.md
-`python -m tests.tools.supply_chain audit`   for `make audit`: licences, duplicates, vulnerabilities; dist/sbom.json
+`python -m experiments.tools.supply_chain lock`   requirements.lock with hashes into requirements.hashed (needs uv)
+`python -m experiments.tools.supply_chain third-party`   licences of the crates that a wheel holds into THIRD_PARTY.md
+`python -m experiments.tools.supply_chain audit`   of `make audit`: licences, vulnerabilities; dist/sbom.json
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ def write_lock() -> None:
     for line, extra in PARTS.items():
         needed = _stanzas(_compile_requirements("pyproject.toml", "-", "--extra", extra, given="maturin\n"))
         parts += "".join(waiting.pop(name) for name in sorted(waiting.keys() & needed.keys())) + f"{line}\n"
-    head = "# Made of requirements.lock by `python -m tests.tools.supply_chain lock`: the same versions, with hashes.\n"
+    head = (
+        "# Made of requirements.lock by `python -m experiments.tools.supply_chain lock`: its versions, with hashes.\n"
+    )
     HASHED.write_text(f"{head}{parts}{''.join(waiting.values())}", encoding="utf-8")
 
 
@@ -138,8 +140,8 @@ def third_party() -> str:
     of_data = re.sub(r"^Copyright .*$", COPYRIGHT_OF_RECORDS, ours, count=1, flags=re.MULTILINE)
     return f"""# Crates in a wheel, and their licences
 
-Written by `python -m tests.tools.supply_chain third-party` from `Cargo.lock`; part of every wheel. Of crates that offer
-several licences, that of MIT is taken. A wheel holds no Python package but this one.
+Written by `python -m experiments.tools.supply_chain third-party` from `Cargo.lock`; part of every wheel.
+Of crates that offer several licences, that of MIT is taken. A wheel holds no Python package but this one.
 
 | crate | version | licence |
 |---|---|---|
@@ -242,7 +244,7 @@ def _runs(*command: str, quiet: bool = True) -> bool:
 
 
 def main() -> int:
-    """Do what is asked for."""
+    """Run the command that is given."""
     match sys.argv[1:]:
         case ["lock"]:
             write_lock()
