@@ -387,13 +387,12 @@ def identify_robot(
             ground = samples.grounded(load, np.linalg.norm(one.linear_velocity, axis=1)) & (one.weight > 0.0)
             one = one._replace(weight=one.weight * ~ground)
             reasons |= {"feet loaded": int(ground.sum())} if ground.any() else {}
+        counts = ", ".join(f"{count} by {reason}" for reason, count in reasons.items())
         if one.weight.sum() * samples.PERIOD < samples.LEAST:
-            counts = ", ".join(f"{count} by {reason}" for reason, count in reasons.items())
             expected = f"{samples.LEAST:g} s that the equations of flight cover; left out: {counts}"
             raise Refused(f"a log has {one.weight.sum() * samples.PERIOD:g} s of flight; expected {expected}")
         flying = one.weight.size - reasons.get("feet loaded", 0) - reasons.get("engines idle", 0)
         if one.weight.sum() < samples.KEPT * flying:
-            counts = ", ".join(f"{count} by {reason}" for reason, count in reasons.items())
             kept = f"{one.weight.sum():.0f} of {flying} samples in flight"
             raise Refused(f"a log keeps {kept}; expected half of them; left out: {counts}")
         left_out = {name: left_out.get(name, 0) + reasons.get(name, 0) for name in {**left_out, **reasons}}
@@ -478,7 +477,7 @@ def _places(robot: RobotModel, found: Found, words: Sequence[str]) -> NDArray[np
 
 def records(robot: RobotModel, found: Found, shown: NDArray[np.bool_]) -> list[Record]:
     """Return the numbers as data, in their units: value, interval, deviation before, share of the data."""
-    rows, (low, middle, high) = [], quantiles(robot, found, (0.5 - 0.5 * INTERVAL, 0.5, 0.5 + 0.5 * INTERVAL))
+    rows, (low, middle, high) = [], estimates(robot, found)
     for place in np.flatnonzero(shown):
         name, unit, factor = labels(robot)[place]
         rows.append(
@@ -505,10 +504,10 @@ def correlations(robot: RobotModel, found: Found, shown: NDArray[np.bool_]) -> l
     return [(names[row], names[column], round(float(matrix[row, column]), 3)) for row, column in pairs]
 
 
-def intervals(robot: RobotModel, found: Found) -> tuple[Array, Array]:
-    """Return the ends of the intervals of all numbers, `INTERVAL` likely."""
-    low, high = quantiles(robot, found, (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL))
-    return low, high
+def estimates(robot: RobotModel, found: Found) -> tuple[Array, Array, Array]:
+    """Return of all numbers the lower ends of their intervals, `INTERVAL` likely, their medians, and the upper ends."""
+    low, middle, high = quantiles(robot, found, (0.5 - 0.5 * INTERVAL, 0.5, 0.5 + 0.5 * INTERVAL))
+    return low, middle, high
 
 
 def quantiles(robot: RobotModel, found: Found, probabilities: Sequence[float]) -> list[Array]:

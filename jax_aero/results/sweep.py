@@ -12,12 +12,13 @@ import pandas as pd
 
 from jax_aero.base import documents, places, sizes
 from jax_aero.base.files import find_damaged, read_json
+from jax_aero.base.kinds import KINDS
 from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import Refused
 from jax_aero.results.record import files_of
 from jax_aero.sweep.perturbation import perturbed
 
-CELLS, FLIGHTS = "cells.parquet", "table.parquet"
+FLIGHTS, CELLS = KINDS["sweeps"].files
 
 
 @dataclass(frozen=True)

@@ -284,7 +284,7 @@ def test_an_interval_of_what_is_not_known_is_that_of_the_prior(sparrow):
         values, deviations = np.zeros(prior.size), prior.copy()
         values[place], deviations[place] = value, deviation
         found = identify.Found(values, deviations, prior, np.diag(deviations**2), [], [])
-        return [ends[place] for ends in command.intervals(robot, found)]
+        return [ends[place] for ends in command.estimates(robot, found)[::2]]
 
     half = np.sqrt(3.0) * prior[names.index("com.x")]
     assert half > 0.02  # of the file's base body, and of what other bodies may weigh

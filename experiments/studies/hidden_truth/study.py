@@ -130,7 +130,7 @@ def row_of(seed: int, number: int, has_defects: bool, folder: Path) -> dict[str,
     except Refused as reason:
         return row | {"verdict": str(reason)}
     found = known.found
-    low, middle, high = (part[is_known].tolist() for part in command.quantiles(file, found, (0.025, 0.5, 0.975)))
+    low, middle, high = (part[is_known].tolist() for part in command.estimates(file, found))
     row |= {"low": low, "high": high, "value": middle, "share": found.share[is_known].tolist()}
     against = [*(one.name for one in known.verdict.unexplained), *known.verdict.conflicts]
     row |= {"is_explained": known.verdict.is_explained, "verdict": ", ".join(against)}
