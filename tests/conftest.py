@@ -124,7 +124,7 @@ def stopped_sweep(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, int, Path],
 ROBOT = rust.Robot(places.ROBOT)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def robot() -> rust.Robot:
     return ROBOT
 

@@ -21,13 +21,7 @@ def check_gradient() -> Callable[..., None]:
     return _check
 
 
-def _check(
-    function: Callable[..., Any],
-    at: Any,
-    *fixed: Any,
-    tolerance: float = 1e-6,
-    step: float = 1e-6,
-) -> None:
+def _check(function: Callable[..., Any], at: Any, *fixed: Any, tolerance: float = 1e-6, step: float = 1e-6) -> None:
     """`⟨w, J u⟩` of `function(at, *fixed)` three ways, for random `u` (scaled to the entries); all derivatives finite.
 
     One function compiles once for all the points it is checked at, so hand in what changes as `fixed`.

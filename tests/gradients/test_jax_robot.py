@@ -22,11 +22,7 @@ TICKS = 100
 """A rollout of at most so many is not cut into parts, of which each would be compiled."""
 STEP = 1e-7
 """Of the quotients, relative: between the rounding of a flight and the next motor that sticks or slips."""
-KEYS = {
-    "drag": "disturbances.aero.drag",
-    "mass": "disturbances.model_error.mass_scale",
-    "gain": "controller.torque.kp",
-}
+KEYS = {"drag": "disturbances.aero.drag", "mass": "disturbances.model_error.mass_scale", "gain": "controller.torque.kp"}
 AT = {"drag": 1.1, "mass": 1.01, "gain": 225.0}
 CHANGES = {
     "simulator.duration": 0.99,

@@ -296,13 +296,7 @@ def embed(flights: Flights, name: str) -> None:
     config = rust.set_keys(config, {"simulator.duration": shortest(config)})
     if (path := library.find()) is None:
         pytest.skip(f"libflight is missing: {library.BUILD}")
-    if reason := library.why_not(config):
-        raise Refused(reason)
-    try:
-        rows = library.verify_library(config, path)
-    except ValueError as refusal:
-        raise Refused(str(refusal)) from None
-    assert all(row.agrees for row in rows), name
+    assert all(row.agrees for row in library.verify_library(config, path)), name
 
 
 @action("control")
@@ -447,12 +441,10 @@ def others() -> list[Pair]:
 
 
 def refused_keys(pair: Pair) -> list[str]:
-    """Return the keys by which a pair is to be refused: those of `jax_aero.refusals`, and what the C library lacks."""
+    """Return the keys by which a pair is to be refused: those of `jax_aero.refusals`."""
     if pair.action in {"fly_jax", "verify"}:
         config = scenario_config(rust.load_config(pair.name))
         return [refusal.key for refusal in refused(config, of_law=pair.action == "verify")]
-    if pair.action == "embed" and (reason := library.why_not(rust.load_config(pair.name))):
-        return [reason]
     return []
 
 

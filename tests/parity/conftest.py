@@ -58,26 +58,6 @@ def random_states(robot: Robot) -> Iterator[tuple[State, NDArray[np.float64]]]:
     return map(draw, range(200))
 
 
-@pytest.fixture(scope="module")
-def fly_with_last_bits() -> Callable[..., list[tuple[FlightResult, FlightResult, list[FlightResult]]]]:
-    """Fly in JAX, as one batch, and in the crate; and there again with some last bits of a thrust changed."""
-    from jax_aero import sim
-
-    def nudge(table: rust.Config, bits: int) -> rust.Config:
-        simulator = table["simulator"]
-        first, *others = simulator["initial"]["thrust"]
-        initial = simulator["initial"] | {"thrust": [first * (1.0 + bits * np.finfo(float).eps), *others]}
-        return table | {"simulator": simulator | {"initial": initial}}
-
-    def fly(
-        tables: list[rust.Config], bits: tuple[int, ...]
-    ) -> list[tuple[FlightResult, FlightResult, list[FlightResult]]]:
-        changed = [[rust.fly(nudge(table, some)) for some in bits] for table in tables]
-        return list(zip(sim.fly_batch(tables, full_log=True), map(rust.fly, tables), changed, strict=True))
-
-    return fly
-
-
 @pytest.fixture
 def agree_with_the_log(measured: Callable[..., None]) -> Callable[[Reading, FlightResult, float, str], None]:
     """Hold readings of every tick in JAX to those that the log of a flight of the crate has."""

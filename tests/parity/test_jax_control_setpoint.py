@@ -123,8 +123,6 @@ def test_float32_setpoints_stay_within_a_millimetre_and_a_hundredth_of_a_degree(
     theirs = rust.setpoint_trajectory(table, *START)
     assert found["com_position"].dtype == np.float32
     measured(
-        "com_position against the resampled one",
-        np.max(np.abs(found["com_position"] - theirs["com_position"])),
-        1e-3,
+        "com_position against the resampled one", np.max(np.abs(found["com_position"] - theirs["com_position"])), 1e-3
     )
     measured("rotation against the resampled one", np.max(np.abs(found["rotation"] - theirs["rotation"])), 2e-4)

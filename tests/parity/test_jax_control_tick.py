@@ -122,11 +122,12 @@ def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [
-        ("test2", {"disturbances.aero_estimate.scale": 0.7}),
+        ("test2", {"disturbances.aero_estimate.scale": 0.7, "controller.aero_feedback.momentum_rate": "force"}),
         ("test2", {"controller.jacobian_offset": "base_rotation", "controller.aero_feedback.momentum_rate": "none"}),
         ("robustness_axisymmetric_vs_sphere_cylinder", {"controller.aero": {"model": "off"}}),
         ("test2_without_lambda_a", {"controller.lever_arm": "unrotated", "controller.axes_of": "chest"}),
         ("test2_without_torque_feedforward", {"controller.link_velocity": "shifted_twice"}),
+        ("test2_without_torque_feedforward", {"controller.aero_feedback.momentum_rate": "moment"}),
         ("test2", {"controller.torque.friction": {"torso": 1.5, "left_arm": 0.7, "right_leg": 2.0}}),
     ],
 )

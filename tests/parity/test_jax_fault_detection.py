@@ -102,15 +102,14 @@ def test_what_this_engine_has_not_is_refused(key):
         sim.prepare(msgspec.structs.replace(config, simulator=simulator), dtype=np.float32)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {
-            "disturbances.jets.failure": REFUSED["disturbances.jets.failure"],
-            "controller.fault_detection.engines": False,
-        },
-        {"disturbances.jets": {"thrust_limit_scale": 0.7, "limit_is_known": True}},
-    ],
-)
-def test_what_no_monitor_would_find_is_flown(changes):
+def test_what_no_monitor_would_find_is_flown():
+    failure = {"disturbances.jets.failure": REFUSED["disturbances.jets.failure"]}
+    changes = failure | {"controller.fault_detection.engines": False}
     sim.prepare(rust.load_config("test2_observer", changes), dtype=np.float32)
+
+
+def test_a_known_limit_is_that_of_the_controllers_model():
+    jets = {"thrust_limit_scale": 0.7, "limit_is_known": True}
+    scenario, _ = sim.prepare(rust.load_config("test2_observer", {"disturbances.jets": jets}), dtype=np.float32)
+    limits = (robot.jets.thrust_max for robot in (scenario.controller_model, scenario.plant.robot))
+    np.testing.assert_allclose(next(limits), 0.7 * next(limits), rtol=1e-6)

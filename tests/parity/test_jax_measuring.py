@@ -12,12 +12,7 @@ from jax_aero.types import pytree
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-RISING = {
-    "profile": "ramp",
-    "velocity": [2.0, -7.0, 0.5],
-    "ramp_start": 0.0,
-    "ramp_end": 0.2,
-}
+RISING = {"profile": "ramp", "velocity": [2.0, -7.0, 0.5], "ramp_start": 0.0, "ramp_end": 0.2}
 OTHER = {"profile": "gust", "velocity": [0.0, -4.0, 0.0], "gust": [2.0, 0.0, -1.0], "start": 0.05, "duration": 0.2}
 CHANNELS = {"wind": 0.4, "joints": 0.01, "base_position": 0.02, "base_rotation": 0.03, "base_velocity": 0.05}
 CASES = {

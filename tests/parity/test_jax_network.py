@@ -89,23 +89,6 @@ def test_forces(name, precision, ours, tmp_path, measured):
     assert not np.any(rust.link_forces(theirs, table, states[0], winds[0]))
 
 
-@pytest.mark.parametrize(
-    ("experiment", "precision", "tolerance"),
-    [("test4_published", "f64", None), ("test4", "f32", 1e-5)],
-)
-def test_a_flight(experiment, precision, tolerance, fly_both):
-    """Two seconds in a wind that rises at once; single precision rounds differently here and there."""
-    changes = {
-        "simulator.duration": 2.0,
-        "wind.ramp_start": 0.1,
-        "wind.ramp_end": 0.6,
-        "simulator.aero.precision": precision,
-        "controller.aero.precision": precision,
-    }
-    expected, _ = fly_both(rust.load_config(experiment, changes), tolerance)
-    assert np.linalg.norm(expected["aero_force_sim"].sum(axis=1), axis=1).max() > 5.0
-
-
 def test_the_function_for_single_links_refuses_a_network(ours):
     table = rust.load_config("test4")["simulator"]["aero"]
     axes = np.tile([0.0, 0.0, 1.0], (ours.aero_links.count, 1))

@@ -56,6 +56,7 @@ CASES = {
     },
     "slow jets": {"disturbances.jets.lag": 0.05},
     "a jet that is stuck": {"disturbances.jets.failure": FAILURE},
+    "a jet that stops": {"disturbances.jets.failure": FAILURE | {"kind": "off"}},
     "a jet that fades": {"disturbances.jets.failure": FAILURE | {"kind": "off", "decay": 0.2}},
     "engines": {"simulator.jets": {"dynamics": "throttled"}, "disturbances.jets.lag": 0.05},
     "another robot than the model": {

@@ -140,29 +140,15 @@ def test_a_card_is_read_as_it_was_written(x64, tmp_path, robot):
     rust.load_config(TASK.experiment, {"controller.policy": {"card": tmp_path / "again.json"}})
 
 
-REFUSED = {
-    "output.jets": ["nose"],
-    "output.thrust_rate": -1.0,
-    "inputs.features": ["gravity", "gravity"],
-    "inputs.scale": [1.0],
-    "output.replaces": 1,
-    "architecture.hidden": [],
-    "format": "flight-aero-network",
-    "weights.sha256": "00",
-}
-
-
-@pytest.mark.parametrize("key", REFUSED)
-def test_both_refuse_a_card_by_its_key(key, tmp_path, robot):
+def test_both_refuse_a_card_by_its_key(tmp_path, robot):
+    """What is refused: `rust/core/tests/residual.rs`."""
     copy_card(CARD, tmp_path / "own.json")
     card = json.loads((tmp_path / "own.json").read_text())
-    *tables, last = key.split(".")
-    table = card[tables[0]] if tables else card
-    table[last] = REFUSED[key]
+    card["output"]["replaces"] = 1
     (tmp_path / "own.json").write_text(json.dumps(card))
-    with pytest.raises(ValueError, match=last):
+    with pytest.raises(ValueError, match="replaces"):
         load_policy(tmp_path / "own.json", robot)
-    with pytest.raises(ValueError, match=last):
+    with pytest.raises(ValueError, match="replaces"):
         rust.load_config("test1", {"controller.policy": {"card": tmp_path / "own.json"}})
 
 

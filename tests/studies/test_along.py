@@ -107,10 +107,7 @@ def test_the_flights_themselves_count(make_flight, robot, tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ("flights=[]", "`flights` is []; expected one value or more, each once"),
-    ],
+    ("change", "words"), [("flights=[]", "`flights` is []; expected one value or more, each once")]
 )
 def test_what_it_cannot_be_made_of_is_named(change, words, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)

@@ -44,10 +44,7 @@ def test_only_the_arms_change():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ("experiments=[]", "`experiments` is []; expected one value or more, each once"),
-    ],
+    ("change", "words"), [("experiments=[]", "`experiments` is []; expected one value or more, each once")]
 )
 def test_what_it_cannot_be_made_of_is_named(change, words, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)

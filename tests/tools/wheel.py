@@ -35,12 +35,7 @@ LARGEST = 10e6
 """Size of a wheel [bytes]: 5.2 MB, and 3.9 MB of the standing robot's records, which do not compress further."""
 LIBRARIES = ("jax_aero/_core.abi3.so", "jax_aero/_core.pyd")
 """The compiled module, elsewhere and for Windows."""
-KINDS = {
-    "x86_64": b"\x7fELF\x02\x01",
-    "aarch64": b"\x7fELF\x02\x01",
-    "win_amd64": b"MZ",
-    "arm64": b"\xcf\xfa\xed\xfe",
-}
+KINDS = {"x86_64": b"\x7fELF\x02\x01", "aarch64": b"\x7fELF\x02\x01", "win_amd64": b"MZ", "arm64": b"\xcf\xfa\xed\xfe"}
 """First bytes of the library, by the end of the wheel's name."""
 PARTS = {"jax_aero/_core.pyi", "jax_aero/py.typed", "jax_aero/configs/experiments/test2.toml"}
 # Those that `make lab` has built.

@@ -11,7 +11,6 @@ from jax_aero.data.ironcub import JOINTS, LINKS
 from tests import cfd_table
 
 ROOT = Path(__file__).parents[2]
-COMPACT = ("link_wind", "link_position", "link_shadow")
 
 
 @pytest.fixture(scope="session")

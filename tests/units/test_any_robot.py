@@ -31,14 +31,6 @@ def without_jets(tmp_path):
     return tmp_path / "plate.toml"
 
 
-def test_a_platform_without_joints_hovers_in_both_engines(fly_both):
-    ours, twin = fly_both(rust.load_config(CONFIGS / "experiments/platform_hover.toml"))
-    for flight in (ours, twin):
-        assert flight.outcome == "completed"
-        assert flight.summary["max_com_error"] < 0.01
-        assert flight.summary["max_torque"] == 0.0
-
-
 def test_sensors_of_a_platform_without_joints_fly_in_both_engines(fly_both):
     """What they measure of the joint velocities is the empty end of a vector."""
     sensors = {"base_linear_velocity": {"noise_std": 0.01}}
@@ -67,12 +59,6 @@ def slider():
     config["controller"]["posture_gain"] = {"boom": 20.0}
     config["simulator"]["initial"] |= {"joint_position": [0.02, 0.1, 0.01], "thrust": [40.0, 45.0, 40.0]}
     return config
-
-
-def test_prismatic_joints_fly_in_both_engines(fly_both):
-    ours, _ = fly_both(slider())
-    assert (ours.log["qp_status"] == 0).all()
-    assert np.abs(np.diff(ours.log["joint_position"], axis=0)).max() > 1e-4  # they move
 
 
 def sparrow():

@@ -37,11 +37,6 @@ ROBOT = "configs/robot/ironcub_mk1.toml"
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return rust.Robot(ROBOT)
-
-
-@pytest.fixture(scope="module")
 def hovering(robot):
     return geometry.robot_surfaces(robot, import_cfd.known_postures()["hovering"])
 

@@ -14,8 +14,6 @@ from jax_aero.data.import_cfd import known_postures
 from paper_figs import cfd_taps
 
 ROBOT = Path("configs/robot/ironcub_mk1.toml").resolve()
-AHEAD = np.array([1.0, 0.0, 0.0])
-"""Motion of the air when it comes from ahead: the base's x points backward."""
 
 
 def test_a_pressure_is_read_before_its_tap_and_is_the_mean_of_the_last_window(tmp_path):

@@ -29,12 +29,6 @@ CONFIGURED = [name for name in studies.names() if places.names(name)]
 """Studies with configurations."""
 
 
-@pytest.mark.parametrize(("command", "extras"), cli.NEEDS.items())
-def test_every_command_exists_and_names_an_extra(command, extras):
-    assert callable(cli.function_of(command))
-    assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])
-
-
 @functools.cache
 def find_first_imports(path: Path) -> frozenset[str]:
     """Modules that a file imports before any of its functions is called."""
@@ -117,10 +111,6 @@ def test_without_a_checkout_commands_work_beside_packages_of_a_user_that_have_th
     assert "of the paper and of studies are in a checkout" in answer.stderr
 
 
-def test_the_package_installs_the_command():
-    assert PROJECT["scripts"] == {"jax-aero": "jax_aero.cli:main"}
-
-
 def test_help_names_every_command(capsys):
     assert cli.main(["--help"]) == 0
     shown = capsys.readouterr().out
@@ -134,6 +124,7 @@ def test_help_names_every_command(capsys):
         (["swep"], "did you mean sweep"),
         (["--hlp"], "did you mean --help"),
         (["fly", "tset1"], "did you mean test1"),
+        (["fly", "nowhere/test1.toml"], "there is no file nowhere/test1.toml"),
         (["fly", "test1", "--overwite"], "did you mean --overwrite"),
         (["fly", "test1", "--backend", "rusty"], "did you mean rust"),
         (["figures", "fig6b"], "did you mean fig6"),

@@ -112,17 +112,6 @@ def test_an_equal_result_is_kept_and_another_one_protected(flown, tmp_path, caps
     assert json.loads((tmp_path / "test1" / "manifest.json").read_text())["config"]["wind"]["velocity"] == [0, 0, 0]
 
 
-def test_half_a_result_and_a_folder_of_something_else_are_not_touched(flown, tmp_path, capsys):
-    (tmp_path / "test1").mkdir()
-    (tmp_path / "test1" / "notes.txt").write_text("mine")
-    assert main(["test1", "--out", str(tmp_path)]) == 2
-    assert "no finished result" in capsys.readouterr().err
-    assert main(["test1", "--out", str(tmp_path), "--overwrite"]) == 2
-    assert "more than a result" in capsys.readouterr().err
-    assert (tmp_path / "test1" / "notes.txt").read_text() == "mine"
-    assert flown == []
-
-
 def test_without_out_the_folder_names_what_was_set(flown, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "folder_of", lambda name: tmp_path / name)
     assert main(["test1", "--set", "wind.velocity=[0,-12,0]"]) == 0
@@ -165,54 +154,11 @@ def test_a_name_that_cannot_be_given_is_refused(flown, words, message, tmp_path,
     assert flown == []
 
 
-def test_ctrl_c_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
-    def interrupt(config, progress=None):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(rust, "fly", interrupt)
-    assert main(["test1", "--out", str(tmp_path)]) == 130
-    assert "interrupted" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["tset1"], "did you mean test1"),
-        (["nowhere/test1.toml"], "there is no file nowhere/test1.toml"),
-        (["test1", "--set", "wind.velocty=[0,0,0]"], "did you mean `wind.velocity`"),
-        (["test1", "--set", "aero_feedback.lambda=false"], "did you mean `controller.aero_feedback.lambda`"),
-        (["test1", "--set", "simulator.duration=soon"], "simulator.duration"),
-    ],
-)
-def test_a_mistake_is_named_on_one_line_of_stderr(flown, arguments, message, capsys, tmp_path):
-    assert main([*arguments, "--out", str(tmp_path)]) == 2
-    answer = capsys.readouterr().err
-    assert answer.startswith("error: ")
-    assert message in answer
-    assert flown == []
-
-
-def test_a_path_works_as_well_as_a_name(flown, tmp_path):
-    path = places.CONFIGS / "experiments" / "test2.toml"
-    assert main([str(path), "--out", str(tmp_path)]) == 0
-    assert "jax-aero fly configs/experiments/test2.toml" in (tmp_path / "test2" / "manifest.json").read_text()
-    assert len(flown) == 1
-
-
 def test_the_command_of_a_manifest_can_be_typed_again(flown, tmp_path):
     words = ["test1", "--set", "simulator.duration=1", "--backend", "rust", "--overwrite"]
     assert main([*words, "--out", str(tmp_path)]) == 0
     command = json.loads((tmp_path / "test1" / "manifest.json").read_text())["command"]
     assert command.split("--out")[0].split() == ["jax-aero", "fly", *words]
-
-
-def test_the_list_names_every_experiment_with_its_title(capsys):
-    assert main(["--list"]) == 0
-    listed = capsys.readouterr().out
-    for name in places.names("experiments"):
-        assert re.search(rf"^  {name} +\w", listed, re.MULTILINE), name
-    assert re.search(r"  balancing_front +Ground experiment", listed)
 
 
 @pytest.mark.parametrize(("kind", "command"), [("experiments", "fly"), ("sweeps", "sweep")])
@@ -246,12 +192,7 @@ def test_the_table_says_when_and_why_a_flight_fell():
     heading, _, row = table.splitlines()
     assert "max CoM error [cm]" in heading
     assert re.search(r"\s50\.0\s+91\.7\s+1\.0\s+\?$", row)
-    down = fallen | {
-        "outcome": "landed",
-        "lost_time": float("nan"),
-        "lost_reason": "",
-        "summary": {"end_speed": 1.23},
-    }
+    down = fallen | {"outcome": "landed", "lost_time": float("nan"), "lost_reason": "", "summary": {"end_speed": 1.23}}
     assert "landed, arrives at 1.2 m/s" in outcome_table([down])
 
 

@@ -188,14 +188,6 @@ def test_the_figure_is_drawn(result):
     assert set(hashes) == {"freestream"}
 
 
-def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(places, "RESULTS", tmp_path)
-    assert fit_aero.main(["none"]) == 2
-    assert "jax-aero data import-cfd" in capsys.readouterr().err
-    assert fit_aero.main(["--set", f"dataset={tmp_path / 'none.nc'}"]) == 2
-    assert "; expected the path of a file that exists" in capsys.readouterr().err
-
-
 def test_the_fit_of_another_dataset_is_only_replaced_when_told(result, sampled, tmp_path, monkeypatch, capsys):
     shutil.copytree(result[0], tmp_path, dirs_exist_ok=True)
     monkeypatch.setattr(places, "RESULTS", tmp_path)

@@ -130,7 +130,7 @@ def test_a_log_without_an_anemometer_has_a_wind_to_find(flown):
     assert known.verdict.is_explained
     names = [name for name, *_ in command.labels(known.robot)]
     place = names.index("wind.y")
-    low, high = (ends[place] for ends in command.intervals(known.robot, known.found))
+    low, high = (ends[place] for ends in command.estimates(known.robot, known.found)[::2])
     assert prior.wind[1] == command.WIND
     assert low < -2.0 < high
     assert known.found.share[place] > 0.5

@@ -18,11 +18,7 @@ NS = 10_000_000 * np.arange(ROWS)
 """Times of measurement [ns]."""
 TOPICS = (
     {"raw_base_position": 3, "raw_base_quaternion": 4, "raw_base_velocity": 6},
-    {
-        "raw_joint_position": 23,
-        "raw_joint_velocity": 23,
-        "raw_thrust": 4,
-    },
+    {"raw_joint_position": 23, "raw_joint_velocity": 23, "raw_thrust": 4},
 )
 
 

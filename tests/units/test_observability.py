@@ -15,10 +15,7 @@ WEIGHTS = np.repeat([0.04, 1.0], 3)[:, None]
 @pytest.fixture(scope="module")
 def derivatives():
     """Derivatives of the hovering robot's momentum rate by thrusts (6, 4), a side wind of 10 m/s (6, 3) and joints."""
-    model = MomentumModel(
-        load_robot(ROBOT),
-        rust.load_aero("axisymmetric_corrected"),
-    )
+    model = MomentumModel(load_robot(ROBOT), rust.load_aero("axisymmetric_corrected"))
     variables = model.thrust, model.wind, model.tree.joint_position
     by = [ca.jacobian(model.momentum_rate, variable) for variable in variables]
     initial = rust.load_config("test2_observer")["simulator"]["initial"]

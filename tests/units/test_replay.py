@@ -622,11 +622,7 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
             *csv,
         ): f"column raw_wind/x in line 2 of `{tmp_path}/text.csv` is b; expected a number",
         ("replay", tmp_path / "short.csv", *csv): "number of cells in line 4 of",
-        (
-            "replay",
-            tmp_path / "decimal.csv",
-            *csv,
-        ): "is 4; expected 2, as its header; with decimal commas",
+        ("replay", tmp_path / "decimal.csv", *csv): "is 4; expected 2, as its header; with decimal commas",
         ("replay", tmp_path / "thousands.csv", *csv): "is 1.000,5; expected a number",
         ("replay", tmp_path / "letter.csv", *csv): "is a letter; expected a header with `time`",
         ("replay", tmp_path / "empty.csv", *csv): "is empty; expected a header with `time`",

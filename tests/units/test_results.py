@@ -369,24 +369,6 @@ def test_what_cannot_be_written_is_one_line_and_leaves_nothing_half(flown, tmp_p
     run.run(design(), workers=1, out=tmp_path)
 
 
-def test_a_full_and_a_read_only_disk_are_one_line(flown, tmp_path, capsys):
-    def mount(*options: str) -> bool:
-        return subprocess.run(["mount", *options], capture_output=True).returncode == 0
-
-    if not mount("-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)):
-        pytest.skip("no right to mount a small disk: sudo make test-all")
-    try:
-        assert main(["fly", "test1", "--out", str(tmp_path)]) == 2
-        assert re.fullmatch(r"error: \S+run\.nc: No space left on device\n", capsys.readouterr().err)
-        assert list(tmp_path.iterdir()) == []
-        assert mount("-o", "remount,ro", str(tmp_path))
-        for command in (["fly", "test1"], ["sweep", "baseline_edge"]):
-            assert main([*command, "--out", str(tmp_path)]) == 2
-            assert re.fullmatch(r"error: \S+: Read-only file system\n", capsys.readouterr().err)
-    finally:
-        subprocess.run(["umount", str(tmp_path)], check=True)
-
-
 # --- reading what is damaged
 
 

@@ -65,28 +65,12 @@ def test_what_runs_on_board_names_no_simulator():
         rust.Controller({**alone, "wind": flown["wind"]})
 
 
-def test_progress_runs_up_to_the_end():
-    seen = []
-    rust.fly(rust.load_config(TEST2, SHORT), lambda tick, n_ticks: seen.append((tick, n_ticks)))
-    ticks = [tick for tick, _ in seen]
-    assert ticks == sorted(ticks)
-    assert all(tick <= n_ticks for tick, n_ticks in seen)
-
-
 def test_an_exception_in_the_progress_callback_ends_the_flight():
     def stop(tick, n_ticks):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         rust.fly(rust.load_config(TEST2), stop)
-
-
-def test_a_refused_configuration_costs_no_flight():
-    config, reports = rust.load_config(TEST2, SHORT), []
-    lacking = config | {"wind": {"profile": "file", "path": "no/such.csv"}}
-    with pytest.raises(ValueError, match=r"flight 1 of the batch: .*no/such\.csv"):
-        rust.fly_batch([config, lacking], progress=lambda *report: reports.append(report))
-    assert all(done == 0 for done, _ in reports)
 
 
 @pytest.mark.parametrize("threads", [0, -1])
@@ -429,18 +413,6 @@ def test_what_a_world_raises_is_raised():
         rust.Flight(config, world).step()
     with pytest.raises(ValueError, match=r"free_fall_tick is true"):
         rust.Flight(rust.load_config("test2"), world)
-
-
-@pytest.mark.parametrize("factor", [1.01, np.nan])
-def test_a_rotation_that_is_none_is_predicted_not_refused(factor):
-    config = rust.load_config(TEST2)
-    now, controller = rust.Flight(config).truth, rust.Controller(config)
-    assert controller.tick(now.state, now.thrust, now.wind, now.time).degraded_modes == []
-    stretched = now.state._replace(base_rotation=factor * now.state.base_rotation)
-    tick = controller.tick(stretched, now.thrust, now.wind, now.time + 0.01)
-    assert tick.degraded_modes == ["rotation_predicted"]
-    with pytest.raises(ValueError, match="deviates from a rotation"):
-        rust.dynamics(rust.Robot(config["robot"]), stretched)
 
 
 def test_a_measurement_may_have_speeds_of_shafts_in_place_of_thrusts():

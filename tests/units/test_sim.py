@@ -283,15 +283,7 @@ def test_a_rollout_refuses_a_number_that_counts_nothing(name, value):
         sim.rollout(None, None, keep=sim.keep_row, **{"n_ticks": 9, name: value})
 
 
-SPOILT = {
-    "simulator.integrator": ("rk4", "semi_implicit_euler"),
-    "simulator.dynamics": ("featherstone", "tree"),
-    "controller.lever_arm": ("bent", "rotated"),
-    "wind.profile": ("storm", "ramp"),
-    "simulator.initial.thrust": ([100.0], "4"),
-    "simulator.duraton": (1.0, "duration"),
-    "simulator.duration": (1e9, "ten million ticks"),
-}
+SPOILT = {"simulator.integrator": ("rk4", "semi_implicit_euler"), "simulator.duration": (1e9, "ten million ticks")}
 
 
 @pytest.mark.parametrize("key", SPOILT)

@@ -102,15 +102,7 @@ def test_a_file_is_small_and_whole_or_it_is_not_read(make, tmp_path):
         netcdf.check(path)
 
 
-@pytest.mark.parametrize(
-    "read",
-    [
-        run_file.read,
-        runs.read,
-        recording.read,
-        partial(dataset.load, robot=None),
-    ],
-)
+@pytest.mark.parametrize("read", [run_file.read, runs.read, recording.read, partial(dataset.load, robot=None)])
 def test_every_reader_of_such_files_checks_them(read, tmp_path):
     path = tmp_path / "run.nc"
     with h5py.File(path, "w") as file:

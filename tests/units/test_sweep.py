@@ -598,10 +598,7 @@ def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
 @pytest.mark.parametrize(
     ("axes", "words"),
     [
-        (
-            [{"name": "x", "key": "wind.speed", "values": [1.0, 2.0, 1.0]}],
-            r"cell 2 \(x = 1.0\): cell 0 has the same",
-        ),
+        ([{"name": "x", "key": "wind.speed", "values": [1.0, 2.0, 1.0]}], r"cell 2 \(x = 1.0\): cell 0 has the same"),
         ([{"name": "x", "level": [{"label": "a"}, {"label": "a"}]}], r"cell 1 \(x = a\): cell 0 has the same levels"),
         (
             [

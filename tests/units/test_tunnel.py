@@ -205,10 +205,7 @@ def test_pressures_become_coefficients_of_their_taps(tmp_path):
     """J5 and J6, exchanged in November alone, are mended and stated; what is doubtful is flagged, and kept as it is."""
     values = (80.0, -40.0, 20.0, 5.0, 8.0)
     cp = {"I1": 1.0, "J5": 0.25, "J6": -0.5, "E2": 0.1}
-    for campaign, exchanged, doubtful in (
-        ("exp_2022_11_03", True, []),
-        ("exp_2022_03_21", False, ["E2"]),
-    ):
+    for campaign, exchanged, doubtful in (("exp_2022_11_03", True, []), ("exp_2022_03_21", False, ["E2"])):
         robot, data = pressures(tmp_path, campaign, values)
         expected = cp if exchanged else cp | {"J5": -0.5, "J6": 0.25}
         assert (robot, sorted(data["tap"].values)) == ("mk1", sorted(cp))  # a port without a tap is none

@@ -70,8 +70,7 @@ def test_points_whose_times_do_not_grow_are_refused(times):
 
 
 @pytest.mark.parametrize(
-    ("name", "fastest"),
-    [("mk3_min_jerk", 0.9375), *((name, 1.875 * 78.0 / time) for name, time in WAYS.items())],
+    ("name", "fastest"), [("mk3_min_jerk", 0.9375), *((name, 1.875 * 78.0 / time) for name, time in WAYS.items())]
 )
 def test_a_shipped_mission_is_the_one_of_its_waypoints(name, fastest, tmp_path):
     assert cli.main(["robot", "waypoints", name, "--out", str(tmp_path)]) == 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from jax_aero import rust
 from jax_aero.results import manifest, record
 from jax_aero.view.recording import Recording
+from tests.browser import open_chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,10 +27,7 @@ def fallen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = rust.load_config("test1_published")
     flight = rust.fly(config)
     dataset = record.to_dataset(
-        flight,
-        rust.Robot(config["robot"]),
-        title=config["title"],
-        config_digest=rust.config_digest(config),
+        flight, rust.Robot(config["robot"]), title=config["title"], config_digest=rust.config_digest(config)
     )
     folder = tmp_path_factory.mktemp("results") / "fallen"
     record.write_run(folder, dataset, {"title": config["title"], "config": manifest.make_portable(config)})
@@ -57,6 +55,12 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return shutil.copytree(
             ROOT / "target/lab", tmp_path_factory.mktemp("lab") / "lab"
         )  # which no other process builds anew
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with open_chromium() as opened:
+        yield opened
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from jax_aero.view import recording
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
 
-from tests.browser import CHROMIUM, SLOWEST, open_chromium  # noqa: E402 - after the skip
+from tests.browser import CHROMIUM, SLOWEST  # noqa: E402 - after the skip
 from tests.measurements import measured  # noqa: E402
 
 needs_node = pytest.mark.skipif(
@@ -86,12 +86,6 @@ class Visit:
             list(STATES),
         )
         return outcome, {name: np.frombuffer(base64.b64decode(data), "<f8") for name, data in signals.items()}
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with open_chromium() as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -18,19 +18,13 @@ from jax_aero.view.recording import Recording
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
 
-from tests.browser import CHROMIUM, SLOWEST, open_chromium  # noqa: E402 - after the skip
+from tests.browser import CHROMIUM, SLOWEST  # noqa: E402 - after the skip
 from tests.view.test_shapes import FACES, STL, draw_meshes  # noqa: E402
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 
 FALL = re.compile(r"Falls at 2[01]\.\d s")
 """Outcome of TEST1 as published; its last digits hang on rounding."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with open_chromium() as opened:
-        yield opened
 
 
 class Visit:
