@@ -230,7 +230,7 @@ Tab completes after: eval "$(register-python-argcomplete jax-aero)"
 
 
 def _words_before_cursor() -> list[str]:
-    """Return the words that the shell asks to complete, and make argcomplete leave out the command's name."""
+    """Return the words to be completed, and make argcomplete leave out the command's name."""
     line = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
     words = shlex.split(line + "_")[1:]  # the suffix preserves an empty last word
     if len(words) < 2:

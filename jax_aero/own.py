@@ -23,7 +23,7 @@ from typing import Any, cast
 from jax_aero.base.terminal import ConfigError
 
 KNOWN = ("duration", "jets", "fall")
-"""Keys of the simulator that a controller may know."""
+"""Keys of the simulator that a controller is given."""
 
 
 class Own:
@@ -74,7 +74,7 @@ class Own:
 
 
 def view(config: Mapping[str, Any], robot: Any) -> dict[str, Any]:
-    """Return what a controller of a robot may know: it, mission, controller, engines, lengths of tick and flight.
+    """Return what a controller of a robot is given: it, mission, controller, engines, lengths of tick and flight.
 
     Wind, air, sensors and disturbances are replaced by none, the start by another one.
     """

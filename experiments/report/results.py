@@ -34,7 +34,7 @@ WINDY = 3.0
 MOVING = 0.02
 """Least speed of a set-point that moves [m/s]."""
 LATE, STRONG = 35.0, 1.0
-"""Time from which on the paper sees its models differ most [s], and least force whose sign is compared [N]."""
+"""Time from which on the paper's models differ most [s], and least force whose sign is compared [N]."""
 FULL = 0.99
 """Share of the greatest wind from which on it counts as full."""
 SAMPLED = 50

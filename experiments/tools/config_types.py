@@ -30,7 +30,7 @@ PLAIN = {
     "ChannelsConfig", "ContactConfig", "EnginesConfig", "FuelConfig", "GroundConfig", "JointsConfig",
     "LatencyDetectorConfig", "NonlinearConfig", "OwnController", "QpConfig", "ShaftConfig", "TrackingErrorConfig",
 }  # fmt: skip
-"""Tables that the crate alone reads: JAX knows at most whether they are given."""
+"""Tables that the crate alone reads: JAX reads at most whether they are given."""
 SCALARS = {"number": "float", "integer": "int", "string": "str", "boolean": "bool", "null": "None"}
 
 

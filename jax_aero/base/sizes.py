@@ -1,4 +1,4 @@
-"""Sizes in memory of what files of others hold, bounded before they are decoded; every reader of them asks here."""
+"""Sizes in memory of what files of others hold, bounded before they are decoded, for every reader of them."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ def _typed(plain: Mapping[str, Any], kind: type[T], origin: str) -> T:
 
 
 def _existing_file(kind: Any, value: Any) -> Path:
-    """Return the path of a file, the only type here that msgspec does not know."""
+    """Return the path of a file, the only type here that msgspec does not support."""
     if kind is not Path or not Path(value).is_file():
         raise ConfigError.of("", value, "the path of a file")
     return Path(value)

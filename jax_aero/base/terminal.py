@@ -122,7 +122,7 @@ def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing w
 
 
 ACTING = (*range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
-"""Characters that a terminal does not show but obeys, and those that change the direction of writing."""
+"""Characters that a terminal does not show but interprets, and those that change the direction of writing."""
 
 SHOWN = {code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" for code in ACTING if chr(code) not in "\t\n"}
 

@@ -17,7 +17,7 @@ from jax_aero.types import Array
 
 
 class EnginesState(NamedTuple):
-    """What engines do under the last command, where no estimator knows it."""
+    """What engines do under the last command, without an estimator of it."""
 
     thrust: Float[Array, " j"]
     """Measured thrusts [N]."""

@@ -122,7 +122,7 @@ def _text(numbers: NDArray[np.float64] | float) -> str:
 
 
 def write_experiment(folder: Path, config: rust.Config, robot: RobotModel, numbers: Numbers, is_found: Numbers) -> Path:
-    """Write `experiment.toml`: a world with drives, sensors and engines as found; the controller knows the drives.
+    """Write `experiment.toml`: a world with drives, sensors and engines as found; the controller models the drives.
 
     What of drives and delays is not found stays as in the configuration.
     """

@@ -26,7 +26,7 @@ AXES = {
 SMALLEST_LINK = 0.1
 """Longest edge below which a link has no aerodynamics [m]."""
 PLACEHOLDER = 1e4
-"""Effort or velocity from which on it is a placeholder, as exporters write if they know no value."""
+"""Effort or velocity from which on it is a placeholder, as exporters write for an unknown value."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Criterion(tables.Table, frozen=True):
     success: Literal["completed", "upright"] = "completed"
     """The flights that succeed."""
     share: tuple[Share, ...] = ()
-    """What is asked instead of success: shares of the flights of all cells."""
+    """The criterion in place of success: shares of the flights of all cells."""
 
     def covers(self, cell: Mapping[str, Any]) -> bool:
         """Return whether a cell is one of those that decide."""

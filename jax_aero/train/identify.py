@@ -38,7 +38,7 @@ from jax_aero.body.spatial import cross, exp_so3, rotate, trace
 from jax_aero.types import Array, State
 
 SLIP = 0.03
-"""Velocity from which dry friction is taken as most of the whole [rad/s]: a joint that trembles feels less of it."""
+"""Velocity from which dry friction is taken as most of the whole [rad/s]: it acts less on a joint that trembles."""
 MOVING = 0.15
 """Velocity above which a joint does not stick [rad/s]; between it and `SLIP` friction depends on how it trembles."""
 FREQUENCY = 2.0

@@ -50,7 +50,7 @@ def _corners(solid: Solid) -> Vector:
 
 
 def _polygons(places: Vector, faces: NDArray[np.int_]) -> list[list[float]]:
-    """Return the corners of faces in turn, as Pillow wants them."""
+    """Return the corners of faces in turn, as Pillow takes them."""
     corners: list[list[float]] = places[faces].reshape(len(faces), 2 * faces.shape[1]).tolist()
     return corners
 

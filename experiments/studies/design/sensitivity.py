@@ -41,7 +41,7 @@ def nothing(robot: rust.Robot) -> Numbers:
 
 
 def change(scenario: Any, state: FlightState, by: Numbers, frames: list[str]) -> tuple[Scenario, FlightState]:
-    """Return a flight of the changed robot, whose controller knows the change; a jet takes its turbine along."""
+    """Return a flight of the changed robot, whose controller's model has the change; a jet takes its turbine along."""
     robot, replace = scenario.plant.robot, dataclasses.replace
     jets, links, factor = robot.jets, robot.aero_links, (1.0 + by["area"])[:, None]
     turns = jax.vmap(rotation_from_rpy)(by["axis"])

@@ -25,7 +25,7 @@ const LONGEST_SPAN: usize = 50;
 /// A row is a tick; with `controller.torque.steps` > 1 a row is a tick of the torques, of which the first and every
 /// `steps`-th is one of the law too, with a row in the result. A signal that is absent is not measured; foot wrenches
 /// are then zero. A tick whose row was lost is one of NaN, except for its time; a longer step between two rows is a pause
-/// of the controller. What the controller knows of future wind is computed from the configuration.
+/// of the controller. The future wind that the controller is given is computed from the configuration.
 ///
 /// With the log of a flight and the configuration that it flew, the result has the same bits.
 ///

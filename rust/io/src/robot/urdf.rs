@@ -241,7 +241,7 @@ fn unused_motion(robot: Node<'_, '_>) -> Result<Vec<String>, String> {
 
 /// Attributes of a tag: those that are read, and harmless ones; `None` for tags whose attributes name and draw.
 fn attributes(tag: &str) -> Option<(&'static str, &'static str)> {
-    // What drives hold beside a limit, no flight knows.
+    // Values of a drive beside its limits are not used in a flight.
     let of_drives = "acceleration deceleration jerk command_effort current gear_velocity k_velocity";
     Some(match tag {
         "link" => ("name", "type concave"),
@@ -354,7 +354,7 @@ fn joint(node: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Joint, String
         let has_either =
             limit.is_some_and(|limit| ["lower", "upper"].iter().any(|key| limit.has_attribute(*key)));
         let limit = |key| limit.map_or(Ok(0.0), |limit| bound(limit, key));
-        // Several tools write −1 or infinity where they know no limit.
+        // Several tools write −1 or infinity for an unknown limit.
         let greatest = |key| limit(key).map(|x| if x + 1.0 == 0.0 || x.is_infinite() { 0.0 } else { x });
         let (lower, upper) = if has_range { (limit("lower")?, limit("upper")?) } else { (0.0, 0.0) };
         let is_range = lower < upper && lower.is_finite() && upper.is_finite();

@@ -134,7 +134,7 @@ pub struct EngineSample {
     pub innovation: f64,
     /// Whether all thrusts are measured: otherwise how engines follow their commands is not learnt.
     pub is_measured: bool,
-    /// Whether the thrust is that of a measured speed: then the momentum is not asked.
+    /// Whether the thrust is that of a measured speed: then the momentum is not used.
     pub is_of_speed: bool,
     /// The thrust rate that was commanded since the last tick \[N/s\].
     pub command: f64,

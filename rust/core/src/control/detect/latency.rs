@@ -230,7 +230,7 @@ pub struct LatencyMonitor {
     config: LatencyDetectorConfig,
     banks: [Bank; 2],
     time_step: f64,
-    /// Latencies that the controller knows, of torques and thrust rates \[s\].
+    /// Configured latencies of torques and thrust rates \[s\].
     known: [f64; 2],
     /// Ages of the measured joints and thrusts, the former with the mean time after a tick at which its torques are given
     /// \[s\].
