@@ -14,6 +14,7 @@ use super::mpc::plan::Plan;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
 use nalgebra::{DVector, Matrix3, Vector6};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What a state consists of: sizes, and stages with a part in it. Controllers of the same sizes can continue each other's
 /// states.
@@ -180,5 +181,44 @@ impl ControllerState {
             ));
         }
         Ok(Self { posture, inertia_0_b, velocity_error_integral, ..self })
+    }
+}
+
+/// A tick of the law of one controller, or none; no part of a state's value.
+#[derive(Clone, Copy, Default)]
+pub struct Origin {
+    controller: usize,
+    tick: u64,
+}
+
+impl PartialEq for Origin {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl std::fmt::Debug for Origin {
+    fn fmt(&self, to: &mut std::fmt::Formatter) -> std::fmt::Result {
+        to.write_str("Origin")
+    }
+}
+
+impl Origin {
+    /// That of a new controller, before its first tick.
+    #[must_use]
+    pub fn of_controller() -> Self {
+        static CONTROLLERS: AtomicUsize = AtomicUsize::new(1);
+        Self { controller: CONTROLLERS.fetch_add(1, Ordering::Relaxed), tick: 0 }
+    }
+
+    /// Becomes the next one.
+    pub fn advance(&mut self) {
+        self.tick += 1;
+    }
+
+    /// Whether it is the same.
+    #[must_use]
+    pub fn is(self, other: Self) -> bool {
+        (self.controller, self.tick) == (other.controller, other.tick)
     }
 }

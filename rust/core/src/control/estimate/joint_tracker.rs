@@ -9,10 +9,10 @@ use super::estimator::EstimatorConfig;
 use crate::control::measure::channels::ChannelsConfig;
 use crate::control::measure::greatest::{Jumps, MAGNITUDES};
 use crate::control::modes::Modes;
+use crate::control::state::Origin;
 use crate::kinematics::RobotState;
 use crate::timing::share;
 use nalgebra::{DVector, DVectorView};
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What a tick of the torques receives: the joints in the robot's order. Entries that are not finite are not measured.
 #[derive(Debug, Clone, Copy)]
@@ -40,45 +40,6 @@ pub struct InnerLoop {
     pub ticks: u32,
     /// Which tick that was.
     pub origin: Origin,
-}
-
-/// A tick of the law of one controller, or none; no part of a state's value.
-#[derive(Clone, Copy, Default)]
-pub struct Origin {
-    controller: usize,
-    tick: u64,
-}
-
-impl PartialEq for Origin {
-    fn eq(&self, _: &Self) -> bool {
-        true
-    }
-}
-
-impl std::fmt::Debug for Origin {
-    fn fmt(&self, to: &mut std::fmt::Formatter) -> std::fmt::Result {
-        to.write_str("Origin")
-    }
-}
-
-impl Origin {
-    /// That of a new controller, before its first tick.
-    #[must_use]
-    pub fn of_controller() -> Self {
-        static CONTROLLERS: AtomicUsize = AtomicUsize::new(1);
-        Self { controller: CONTROLLERS.fetch_add(1, Ordering::Relaxed), tick: 0 }
-    }
-
-    /// Becomes the next one.
-    pub fn advance(&mut self) {
-        self.tick += 1;
-    }
-
-    /// Whether it is the same.
-    #[must_use]
-    pub fn is(self, other: Self) -> bool {
-        (self.controller, self.tick) == (other.controller, other.tick)
-    }
 }
 
 impl InnerLoop {

@@ -130,7 +130,13 @@ impl PolicyCard {
         let size = |feature: &Feature| match feature {
             Feature::JointPosition | Feature::JointVelocity => joints.len(),
             Feature::Thrust => jets.len(),
-            _ => 3,
+            Feature::Gravity
+            | Feature::Rotation
+            | Feature::Position
+            | Feature::Velocity
+            | Feature::AngularVelocity
+            | Feature::Force
+            | Feature::Moment => 3,
         };
         let inputs = self.inputs.features.iter().map(size).sum();
         [&[inputs], &*self.architecture.hidden, &[jets.len() + joints.len()]].concat()
@@ -148,15 +154,13 @@ impl PolicyCard {
         joints: &[&str],
     ) -> Result<PolicyWeights, BuildError> {
         self.check(jets, joints).map_err(|error| error.in_file(&self.origin))?;
-        let (mut tensors, widths) = (tensors()?, self.widths());
+        let (mut tensors, widths, layers) = (tensors()?, self.widths(), self.architecture.hidden.len());
         let mut layer = |name: &str, from: usize, to: usize| {
             let weights = tensors.take(&format!("{name}.weight"), &[to, from])?;
             Ok::<_, BuildError>((weights, tensors.take(&format!("{name}.bias"), &[to])?))
         };
-        let [inputs, .., last, actions] = widths[..] else {
-            return Err(BuildError::bad_entry("architecture.hidden", "empty", "at least one layer"));
-        };
-        let hidden = widths[..widths.len() - 1].windows(2).enumerate();
+        let (inputs, last, actions) = (widths[0], widths[layers], widths[layers + 1]);
+        let hidden = widths[..=layers].windows(2).enumerate();
         let weights = PolicyWeights {
             hidden: hidden
                 .map(|(number, width)| layer(&format!("hidden.{number}"), width[0], width[1]))
@@ -234,7 +238,7 @@ pub struct Policy {
     action: [Vec<f64>; 1],
 }
 
-/// What a policy sees of a tick.
+/// Inputs of a policy in a tick.
 #[derive(Debug, Clone, Copy)]
 pub struct Sight<'a> {
     /// The robot.
@@ -330,33 +334,27 @@ impl Policy {
         let (force, moment) = parts(wrench);
         let mut left = &mut self.inputs[0][..];
         for (feature, scale) in self.features.iter().zip(&self.scale) {
-            let seen = match feature {
-                Feature::Gravity => -rotation.row(2).transpose(),
-                Feature::Rotation => skew_part(&turned),
-                Feature::Position => rotation.tr_mul(&(kinematics.com - due.com_position)),
-                Feature::Velocity => rotation.tr_mul(&(velocity - due.com_velocity)),
-                Feature::AngularVelocity => rotation.tr_mul(&angular_velocity),
-                Feature::Force => rotation.tr_mul(&force) / self.force,
-                Feature::Moment => rotation.tr_mul(&moment) / (0.1 * self.force),
+            let vector = |to, vector: Vector3<f64>| write(to, *scale, vector.iter().copied());
+            left = match feature {
+                Feature::Gravity => vector(left, -rotation.row(2).transpose()),
+                Feature::Rotation => vector(left, skew_part(&turned)),
+                Feature::Position => vector(left, rotation.tr_mul(&(kinematics.com - due.com_position))),
+                Feature::Velocity => vector(left, rotation.tr_mul(&(velocity - due.com_velocity))),
+                Feature::AngularVelocity => vector(left, rotation.tr_mul(&angular_velocity)),
+                Feature::Force => vector(left, rotation.tr_mul(&force) / self.force),
+                Feature::Moment => vector(left, rotation.tr_mul(&moment) / (0.1 * self.force)),
                 Feature::JointPosition => {
-                    let moved = robot.joint_position.iter().zip(posture).map(|(now, first)| now - first);
-                    left = write(left, *scale, moved);
-                    continue;
+                    let joints = robot.joint_position.iter().zip(posture);
+                    write(left, *scale, joints.map(|(now, first)| now - first))
                 }
                 Feature::JointVelocity => {
-                    left = write(left, *scale, robot.joint_velocity().iter().map(|velocity| 0.1 * velocity));
-                    continue;
+                    write(left, *scale, robot.joint_velocity().iter().map(|velocity| 0.1 * velocity))
                 }
                 Feature::Thrust => {
-                    left = write(
-                        left,
-                        *scale,
-                        thrust.iter().zip(&self.thrust_max).map(|(now, most)| now / most),
-                    );
-                    continue;
+                    let thrusts = thrust.iter().zip(&self.thrust_max);
+                    write(left, *scale, thrusts.map(|(now, most)| now / most))
                 }
             };
-            left = write(left, *scale, seen.iter().copied());
         }
     }
 }
