@@ -74,8 +74,6 @@ fn forces(model: &AeroModel, axis_i: Vector3<f64>, v_air_i: Vector3<f64>) -> [Ve
     forces_i
 }
 
-// ------------------------------------------------------------------------------------------- laws
-
 #[test]
 fn still_air_gives_no_force() {
     for (name, model) in models() {
@@ -113,29 +111,14 @@ fn force_along_the_axis_is_along_the_axis_and_continuous() {
     }
 }
 
-// -------------------------------------------------------------------------------------- published
-
-// ------------------------------------------------------------------------------------------ pchip
-
 /// Abscissae, ordinates, and points of the curve.
 type PchipCase<'a> = (&'a [f64], &'a [f64], &'a [(f64, f64)]);
 
-/// Values typed from scipy's `PchipInterpolator`: an extremum inside, and the three kinds of ends.
+/// Values typed from scipy's `PchipInterpolator` for the three kinds of ends; `tests/parity/test_aero.py` has the insides.
 #[test]
 fn pchip_equals_scipy() {
     let cases: [PchipCase; 3] = [
-        (
-            &[0.0, 1.0, 3.0, 4.0, 6.0],
-            &[0.0, 2.0, 1.0, 1.5, 5.0],
-            &[
-                (0.25, 0.710_937_500_000_000_1),
-                (0.5, 1.354_166_666_666_666_7),
-                (2.0, 1.5),
-                (3.5, 1.158_430_232_558_139_5),
-                (5.0, 2.787_306_201_550_387),
-                (5.75, 4.375_174_115_794_573),
-            ],
-        ),
+        (&[0.0, 1.0, 3.0, 4.0, 6.0], &[0.0, 2.0, 1.0, 1.5, 5.0], &[(5.75, 4.375_174_115_794_573)]),
         (
             &[0.0, 1.0, 3.0],
             &[0.0, 0.1, 5.0],
@@ -164,8 +147,6 @@ fn pchip_of_two_points_is_a_line() {
         assert_within!(relative(table.linear_at(x), 3.0 * x - 1.0), 1e-14);
     }
 }
-
-// --------------------------------------------------------------------------------------- refusals
 
 /// The error of building with a changed sphere and cylinder config.
 fn sphere_cylinder_error(change: impl FnOnce(&mut SphereCylinderConfig)) -> String {

@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{Running, TIME_STEP, assert_within, at, experiment, move_state, rng};
-use flight_core::control::config::{ControllerConfig, Solver};
+use flight_core::control::config::ControllerConfig;
 use flight_core::control::detect::engines::EnginesConfig;
 use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig};
 use flight_core::control::law::contact::{ContactConfig, LoadTransfer, WRENCH_ROWS};
@@ -529,25 +529,6 @@ fn the_law_of_a_lost_engine_is_that_of_the_air() {
         );
         assert_eq!(carries, tick < 59, "tick {tick}: to the end of the hold");
         assert!(if carries { apart == 0.0 } else { apart > 0.1 }, "tick {tick}: {apart} rad/s");
-    }
-}
-
-/// Clarabel finds the same commands.
-#[test]
-fn clarabel_commands_the_same() {
-    let mut ours = controller(|_| ());
-    let mut theirs = controller(|config| config.qp.solver = Solver::Clarabel);
-    let mut rng = rng(8);
-    for _ in 0..20 {
-        let mut state = at_rest();
-        state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.05..0.05));
-        let wind = crate::common::random_vector(&mut rng, 10.0);
-        for controller in [&mut ours, &mut theirs] {
-            let modes = controller.tick(&measurement(&state, wind, &weight_on_both())).modes;
-            assert_eq!(modes, Modes::default());
-        }
-        let difference = (&ours.terms().unlimited_torque - &theirs.terms().unlimited_torque).amax();
-        assert_within!(difference, 1e-5, "{difference} N m");
     }
 }
 

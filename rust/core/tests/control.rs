@@ -10,14 +10,13 @@ use crate::setpoint::distance_to_rest;
 use flight_core::control::config::Solver;
 use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig, LatencyConfig};
 use flight_core::control::law::bounds::LimitedValues;
-use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::law::torque::limit_rate;
 use flight_core::control::limits::JointCondition;
 use flight_core::control::{BadCommand, Modes};
 use flight_core::jets::JetDynamics;
 use flight_core::qp::QpStatus;
-use flight_core::{Command, Controller, Measurement, RobotState};
+use flight_core::{Command, Measurement, RobotState};
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -759,44 +758,6 @@ fn without_a_torque_answer_torques_stay() {
     }
 }
 
-/// Neither QP has an answer: both safe commands at once.
-#[test]
-fn without_any_answer_both_hold() {
-    let mut config = experiment("test2");
-    config.controller.law.weights.momentum = 1e305;
-    config.controller.law.torque.weight_acceleration = 1e306;
-    let mut controller = controller(&config);
-    let command = Measurement::start(&config).tick(&mut controller);
-    assert!(command.modes.contains(Modes::MOMENTUM_HELD) && command.modes.contains(Modes::TORQUE_HELD));
-    assert_eq!(command.thrust_rate.amax() + command.joint_torque.amax(), 0.0);
-}
-
-/// A state that is finite but absurd is answered by holding, not by a panic, and the torques of before.
-#[test]
-fn absurd_states_are_held() {
-    let config = experiment("test2");
-    let start = Measurement::start(&config);
-    for size in [1e80, 1e160, 1e300] {
-        for part in 0..4 {
-            let mut controller = controller(&config);
-            let torque = start.tick(&mut controller).joint_torque.clone();
-            let mut absurd = start.clone();
-            match part {
-                0 => absurd.state.base.position.x = size,
-                1 => absurd.state.velocity[4] = size,
-                2 => absurd.state.velocity[9] = size,
-                _ => absurd.thrust[2] = size,
-            }
-            let command = absurd.tick(&mut controller);
-            assert!(numbers(command).iter().all(|x| x.is_finite()), "{size:e} in part {part}");
-            assert!(command.joint_torque.amax() <= 50.0);
-            let step = (&command.joint_torque - &torque).amax();
-            assert_within!(step - 3.0, 1e-12, "torques move by {step}");
-            assert!(command.thrust_rate.amax() <= 100.0);
-        }
-    }
-}
-
 /// Flies a configuration beside another on the same measurements and compares what they command.
 fn compare(
     config: &ScenarioConfig,
@@ -854,54 +815,6 @@ fn the_baseline_is_the_aware_controller_without_forces() {
     assert_eq!(numbers(resting.tick(&mut unaware)).len(), 50);
     let apart = (&unaware.command().thrust_rate - &resting.tick(&mut aware).thrust_rate).amax();
     assert!(apart > 1.0, "in wind they differ: by {apart} N/s");
-}
-
-/// Each of the three ways in which aerodynamics enters can be left out alone.
-#[test]
-fn each_part_of_the_feedback_can_be_left_out() {
-    let tick = |change: &dyn Fn(&mut ScenarioConfig)| {
-        let mut config = experiment("test2");
-        change(&mut config);
-        let mut controller = controller(&config);
-        Measurement::start(&config).tick(&mut controller);
-        controller
-    };
-    let full = tick(&|_| ());
-    let baseline = tick(&|config| config.controller.aero = AeroConfig::Off {});
-    let no_rate = tick(&|config| config.controller.law.aero_feedback.momentum_rate = RateFeedback::None);
-    let no_lambda = tick(&|config| config.controller.law.aero_feedback.lambda = false);
-    let no_torque = tick(&|config| config.controller.law.aero_feedback.torque = false);
-
-    let rate = |c: &Controller| c.terms().momentum.rate_estimate;
-    let lambda = |c: &Controller| c.terms().momentum.lambda_a.clone();
-    // The desired accelerations differ as the commanded velocities do; the free ones only by the force.
-    let free = |c: &Controller| c.terms().torque_qp.acceleration_free.clone();
-    let terms = full.terms();
-    let (force, moment) = terms.link_forces.wrench_about(&terms.kinematics.com);
-    for axis in 0..3 {
-        assert_within!((rate(&full)[axis] - rate(&baseline)[axis] - force[axis]).abs(), 1e-12);
-        assert_within!((rate(&full)[3 + axis] - rate(&baseline)[3 + axis] - moment[axis]).abs(), 1e-12);
-    }
-    assert!(lambda(&full).amax() > 0.1 && lambda(&baseline).amax() == 0.0);
-    let added = &terms.momentum.lambda - &baseline.terms().momentum.lambda;
-    assert_within!((added - lambda(&full)).amax(), 1e-10, because "rounding of sums of up to 1e5");
-    assert!((free(&full) - free(&baseline)).amax() > 0.1);
-
-    for (controller, has) in [
-        (&no_rate, [false, true, true]),
-        (&no_lambda, [true, false, true]),
-        (&no_torque, [true, true, false]),
-    ] {
-        let of = |with: bool| if with { &full } else { &baseline };
-        assert_eq!(rate(controller), rate(of(has[0])));
-        assert_eq!(lambda(controller), lambda(of(has[1])));
-        assert_equal("free acceleration", free(controller).as_slice(), free(of(has[2])).as_slice(), 1e-10);
-    }
-    // The scale multiplies every estimated force.
-    let half = tick(&|config| config.disturbances.aero_estimate.scale = 0.5);
-    for (half, full) in half.terms().link_forces.forces_i.iter().zip(&terms.link_forces.forces_i) {
-        assert_within!((half * 2.0 - full).norm(), 1e-14 * (1.0 + full.norm()));
-    }
 }
 
 /// Bounds on the rate of one value.
@@ -1199,14 +1112,4 @@ fn remove(table: &mut std::collections::BTreeMap<String, f64>, name: &str) {
 fn aero(coefficients: &str, air_density: f64) -> AeroConfig {
     let value = json!({"model": "axisymmetric", "coefficients": coefficients, "air_density": air_density});
     serde_json::from_value(value).unwrap()
-}
-
-/// A controller of one robot does not fit another: the refusal gives the first name that is missing.
-#[test]
-fn a_controller_does_not_fit_another_robot() {
-    let config = experiment("test2");
-    let error = config.controller(robot("sparrow")).unwrap_err();
-    let message = error.to_string();
-    assert!(message.contains("controller.posture_gain names `left_arm`"), "{message}");
-    assert!(message.contains("known: legs, upper_body"), "{message}");
 }

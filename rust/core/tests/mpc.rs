@@ -215,6 +215,15 @@ fn slope(
     dx
 }
 
+/// A step `h` of Runge-Kutta's method.
+fn move_on(x: &DVector<f64>, h: f64, f: impl Fn(&DVector<f64>) -> DVector<f64>) -> DVector<f64> {
+    let k1 = f(x);
+    let k2 = f(&(x + &k1 * (h / 2.0)));
+    let k3 = f(&(x + &k2 * (h / 2.0)));
+    let k4 = f(&(x + &k3 * h));
+    x + (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0)
+}
+
 /// Outputs (p, v, θ, ω, a, α) from the same matrices.
 fn outputs(model: &Linearised, now: Present, x: &DVector<f64>, dx: &DVector<f64>) -> [Vector3<f64>; 6] {
     let terms = now.terms;
@@ -299,12 +308,7 @@ fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {
             let steps = 40;
             let h = duration / f64::from(steps);
             for _ in 0..steps {
-                let f = |x: &DVector<f64>| slope(&model, now, gains, &engines, x, (&u, &mean));
-                let k1 = f(&x);
-                let k2 = f(&(&x + &k1 * (h / 2.0)));
-                let k3 = f(&(&x + &k2 * (h / 2.0)));
-                let k4 = f(&(&x + &k3 * h));
-                x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
+                x = move_on(&x, h, |x| slope(&model, now, gains, &engines, x, (&u, &mean)));
             }
             let dx = slope(&model, now, gains, &engines, &x, (&u, &wrenches[knot]));
             let [p, v, theta, omega, a, alpha] = outputs(&model, now, &x, &dx);
@@ -457,20 +461,16 @@ fn check_excesses(is_descending: bool) {
         }
         let mut moved = vec![vec![0.0; free]; mpc.knots.len()];
         for (place, joint) in joints.iter().enumerate() {
-            let mut x =
-                Vector3::new(case.state.joint_position[*joint], case.state.joint_velocity()[*joint], 0.0);
+            let (position, velocity) =
+                (case.state.joint_position[*joint], case.state.joint_velocity()[*joint]);
+            let mut x = DVector::from_vec(vec![position, velocity, 0.0]);
             for (knot, duration) in mpc.knots.iter().enumerate() {
                 let command = u[horizon.joint_velocity(knot, place)];
                 let h = duration / 40.0;
-                let f = |x: &Vector3<f64>| {
-                    Vector3::new(x[1], 20.0 * (command - x[1]) - 100.0 * x[2], x[1] - command)
-                };
                 for _ in 0..40 {
-                    let k1 = f(&x);
-                    let k2 = f(&(x + k1 * (h / 2.0)));
-                    let k3 = f(&(x + k2 * (h / 2.0)));
-                    let k4 = f(&(x + k3 * h));
-                    x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
+                    x = move_on(&x, h, |x| {
+                        DVector::from_vec(vec![x[1], 20.0 * (command - x[1]) - 100.0 * x[2], x[1] - command])
+                    });
                 }
                 let (low, high) = limits[*joint];
                 let over = x[0] - x[0].clamp(low, high);

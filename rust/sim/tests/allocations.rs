@@ -19,7 +19,6 @@ use episode::Episodes;
 use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::Modes;
-use flight_core::control::config::Solver;
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::config::AeroKinematics;
 use flight_sim::disturbances::{FailureKind, JetFailure, OutageChannel, OutageKind};
@@ -122,21 +121,6 @@ fn the_predictive_law_does_not_allocate() {
     assert_no_allocations("plans of a descent", &config, 1.0, SIDE);
 }
 
-/// Calm flight, through climb and turbo.
-#[test]
-fn a_calm_tick_does_not_allocate() {
-    let (_, nominal) = assert_no_allocations("calm", &experiment("test2"), 25.0, SIDE);
-    assert!(nominal);
-}
-
-/// A robot that is being lost, with most unknowns at their bounds.
-#[test]
-fn a_saturated_tick_does_not_allocate() {
-    let config = experiment("test1_published");
-    let (active, nominal) = assert_no_allocations("lost", &config, 3.0, Vector3::new(9.0, -20.0, 0.0));
-    assert!(nominal && active >= 15, "nominal: {nominal}, {active} bounds active at most");
-}
-
 /// Every model and quirk, sub-steps, engines with throttles.
 #[test]
 #[allow(clippy::large_stack_arrays, reason = "a handful of configurations, once")]
@@ -230,15 +214,6 @@ fn a_tick_of_a_flight_does_not_allocate() {
             flight.log().series("degraded_modes").unwrap().data.iter().fold(0, |all, x| all | *x as u32);
         assert_eq!(found, modes, "{what}");
     }
-}
-
-/// Clarabel does allocate, as its documentation says; the counter would see it in a tick.
-#[test]
-fn clarabel_allocates() {
-    let config = with("test2", |config| config.controller.law.qp.solver = Solver::Clarabel);
-    let mut flight = Loop::new(&config);
-    flight.run(0.02, |_| SIDE);
-    assert!(allocations(|| flight.observe(&SIDE)) > 10);
 }
 
 /// A robot that stands: feet that carry, that let go and carry again.

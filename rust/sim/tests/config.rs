@@ -311,13 +311,16 @@ fn missing_and_ill_typed_keys_are_named() {
     }
 }
 
-/// Every experiment loads, says what it is, and can be flown as it is meant.
+/// Every experiment loads, says what it is, and can be flown as it is meant, also as it is written out: a manifest holds the
+/// whole flight.
 #[test]
 fn every_experiment_file_is_a_flight() {
     for file in files("experiments") {
         let config = load_scenario(&file).unwrap();
         assert!(!config.title.is_empty() && !config.description.is_empty(), "{}", file.display());
         assert_eq!(Scenario::check(&config).unwrap(), [""; 0], "{}", file.display());
+        let value = serde_json::to_value(&config).unwrap();
+        assert_eq!(from_value::<ScenarioConfig>(value, "written out").unwrap(), config, "{}", file.display());
     }
 }
 
@@ -430,16 +433,6 @@ fn a_start_outside_the_limits_of_the_set_point_is_warned_of() {
     );
     assert_eq!(warnings("take_off", Backend::Mujoco, 10.0).len(), 1);
     assert!(warnings("min_time", Backend::Rust, 10.0).is_empty());
-}
-
-/// What is written out is read back the same: a manifest holds the whole flight.
-#[test]
-fn a_flight_survives_being_written_out() {
-    for file in files("experiments") {
-        let config = load_scenario(&file).unwrap();
-        let value = serde_json::to_value(&config).unwrap();
-        assert_eq!(from_value::<ScenarioConfig>(value, "written out").unwrap(), config, "{}", file.display());
-    }
 }
 
 /// A number beyond a limit that the schema states, by key: in the place of every number of a flight that has one.

@@ -6,7 +6,6 @@
 use crate::common::{assert_within, experiment, fly, outage, robot};
 use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
-use flight_io::from_value;
 use flight_sim::disturbances::{
     Disturbances, FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, Outage,
     OutageChannel, OutageKind, WindEstimateConfig, WindEstimator,
@@ -410,17 +409,5 @@ fn what_makes_no_sense_is_refused_by_name() {
             error.contains("disturbances.outages[0].error is 0.5; expected none, but for the kind wrong"),
             "{error}"
         );
-    }
-}
-
-/// A controller has no disturbances of its own that a loop other than ours could overlook.
-#[test]
-fn the_controller_holds_no_disturbance() {
-    let config = experiment("test2");
-    for key in ["wind_estimate", "model_error"] {
-        let mut value = serde_json::to_value(&config).unwrap();
-        value["controller"][key] = serde_json::json!({});
-        let text = from_value::<ScenarioConfig>(value, "flight").unwrap_err().to_string();
-        assert!(text.contains(&format!("unknown key `controller.{key}`")), "{text}");
     }
 }

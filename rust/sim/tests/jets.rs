@@ -223,8 +223,6 @@ fn engines_can_be_chosen_per_jet() {
     assert_eq!(own.throttle()[1..], other.throttle()[1..]);
 }
 
-// --------------------------------------------------------------------------------------- refusals
-
 fn assert_refused(config: &JetsConfig, parts: &[&str]) {
     let message = Jets::new(config, &jets(), &engines(), &HOVER).unwrap_err().to_string();
     assert_says(&message, parts);

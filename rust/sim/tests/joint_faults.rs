@@ -77,16 +77,3 @@ fn bad_faults_are_refused_by_name() {
     let refusal = Scenario::new(&config).unwrap_err();
     assert_says(&refusal, &["disturbances.joints[1].joint is l_elbow", "without another fault"]);
 }
-
-/// MuJoCo holds no joint; what weakens a torque is the crate's.
-#[test]
-fn mujoco_refuses_a_stuck_joint() {
-    let mut config = experiment("take_off");
-    config.disturbances.joints = vec![fault(JointFaultKind::Free, 1.0)];
-    assert!(Scenario::check(&config).is_ok());
-    config.disturbances.joints[0].kind = JointFaultKind::Stuck;
-    assert_says(
-        &Scenario::check(&config).unwrap_err(),
-        &["disturbances.joints[0].kind", "backend = \"mujoco\""],
-    );
-}

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
-use crate::common::{at, every_controller, outage};
+use crate::common::{at, every_controller, loaded, outage};
 use flight_core::control::estimate::joint_tracker::JointMeasurement;
 use flight_core::robot::Joint;
 use flight_core::{Controller, Measurement, RobotModel};
@@ -12,7 +12,7 @@ use flight_sim::disturbances::{
     FailureKind, JetFailure, JointFault, JointFaultKind, OutageChannel, OutageKind, Outages,
 };
 use flight_sim::{Plant, ScenarioConfig};
-use nalgebra::{DVector, Vector3};
+use nalgebra::Vector3;
 
 /// When faults begin, and how long a flight is \[s\].
 const FAULT: f64 = 0.15;
@@ -88,13 +88,7 @@ fn a_restored_state_continues_to_the_same_bits() {
             let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances, law).unwrap();
             let mut outages = Outages::new(&config.disturbances.outages, &robot.jets).unwrap();
             let mut controller = config.controller(robot.clone()).unwrap();
-            let feet =
-                DVector::from_fn(
-                    6 * controller.model().feet.len(),
-                    |row, _| {
-                        if row % 6 == 2 { 200.0 } else { 0.0 }
-                    },
-                );
+            let feet = loaded(controller.model().feet.len());
             let (mut tick, mut restored, mut state) = (0_usize, 0, None);
             while (tick as f64) * time_step < DURATION {
                 let time = tick as f64 * time_step;

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::counting::allocations;
-use crate::common::{at, configs, every_controller, hover_of, random_state, random_vector, robot};
+use crate::common::{at, configs, every_controller, hover_of, loaded, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{ControllerState, Given, Measurement, Modes, Preview};
@@ -229,9 +229,7 @@ impl Episode {
         let speed = [1.0, 12.0, 60.0][rng.random_range(0..3)];
         let sample = Measurement {
             wind: random_vector(&mut rng, speed),
-            foot_wrenches: DVector::from_fn(6 * controller.model().feet.len(), |row, _| {
-                if row % 6 == 2 { 200.0 } else { 0.0 }
-            }),
+            foot_wrenches: loaded(controller.model().feet.len()),
             ..at(0.0, plant.state(), plant.jets().thrust_feedback())
         };
         let begin = rng.random_range(0.0..40.0);

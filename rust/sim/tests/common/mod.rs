@@ -19,7 +19,7 @@ use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
 use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
 use flight_sim::{FlightResult, Plant, ScenarioConfig, Sensors, fly_batch, load_scenario};
-use nalgebra::Vector3;
+use nalgebra::{DVector, Vector3};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 use std::fmt::Display;
@@ -87,6 +87,11 @@ pub fn uniform_estimator(channel: FilterConfig) -> EstimatorConfig {
         thrust: channel,
         ..EstimatorConfig::default()
     }
+}
+
+/// Wrenches of feet that carry 200 N each, foot after foot.
+pub fn loaded(feet: usize) -> DVector<f64> {
+    DVector::from_fn(6 * feet, |row, _| if row % 6 == 2 { 200.0 } else { 0.0 })
 }
 
 /// An outage of a whole channel; a wrong one is wrong by 1.

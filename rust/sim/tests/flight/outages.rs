@@ -5,7 +5,6 @@ use super::with;
 use crate::common::{assert_within, experiment};
 use flight_core::control::Modes;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
-use flight_sim::jets::{JetsConfig, ThrottledConfig};
 use flight_sim::sensors::ThrustSensorConfig;
 use flight_sim::{FlightResult, LossReason, Outcome, Scenario, ScenarioConfig};
 use std::ops::ControlFlow;
@@ -85,35 +84,6 @@ fn blind_for_a_second_it_completes() {
     completes(outage(OutageChannel::Joints, 0.3, OutageKind::Nan), Modes::JOINTS_PREDICTED.bits(), 5.0);
 }
 
-/// All thrusts are measured 25 N too high, which turns no robot but makes it fall where it is taken for its engines.
-#[test]
-fn a_common_error_of_the_thrust_sensors_is_recognised() {
-    let wrong = Outage { error: 25.0, ..outage(OutageChannel::Thrust, FOR_EVER, OutageKind::Wrong) };
-    completes(wrong, Modes::THRUST_MODELLED.bits(), 12.0);
-}
-
-/// A wind sensor that jumps by 50 m/s, more than any gust.
-#[test]
-fn a_wind_that_jumps_is_replaced() {
-    let wrong = Outage { error: 50.0, ..outage(OutageChannel::Wind, FOR_EVER, OutageKind::Wrong) };
-    completes(wrong, Modes::WIND_HELD.bits() | Modes::WIND_LOST.bits(), 5.0);
-}
-
-/// Engines that follow the first large commands as fast as their throttles let them are not taken for failing ones.
-#[test]
-fn slow_engines_are_not_taken_for_failing_ones() {
-    let jets = JetsConfig::Throttled(ThrottledConfig::default());
-    let flight = fly(Vec::new(), |config| {
-        config.simulator.jets = jets;
-        config.simulator.duration = 2.0;
-        for thrust in &mut config.simulator.initial.thrust {
-            *thrust -= 8.0;
-        }
-    });
-    assert_eq!(modes(&flight), 0);
-    assert_eq!(flight.outcome, Outcome::Completed);
-}
-
 /// Everything of the state stands still for 0.3 s: recognised, and survived.
 #[test]
 fn a_frozen_state_is_recognised() {
@@ -191,15 +161,6 @@ fn with_a_wrong_thrust_sensor_it_completes() {
     }
 }
 
-/// A second without joints is too long: torques alone do not hold them.
-#[test]
-fn a_second_without_joints_is_too_long() {
-    let joints = |duration| outage(OutageChannel::Joints, duration, OutageKind::Missing);
-    completes(joints(0.5), Modes::JOINTS_PREDICTED.bits(), 5.0);
-    let flight = fly(vec![joints(1.0)], |config| config.simulator.duration = 21.0);
-    assert_eq!(flight.outcome, Outcome::Fell);
-}
-
 const JETS: [&str; 4] = ["l_arm_jet", "r_arm_jet", "chest_l_jet", "chest_r_jet"];
 
 /// A flight in which an engine fails at `time` \[s\], and after how long that was found \[s\].
@@ -264,16 +225,6 @@ fn with_a_stuck_engine_it_completes() {
         assert_eq!(flight.outcome, end, "{jet}: {:?}", flight.loss);
         let rotation = flight.summary.max_rotation_error.to_degrees();
         assert_within!(rotation, 15.0, because "margin of the flight, not of rounding", "{jet}: {rotation} deg");
-    }
-}
-
-/// An arm jet that stops at once is found after its confirmation, and is too much all the same.
-#[test]
-fn an_arm_that_stops_at_once_is_found() {
-    for jet in &JETS[..2] {
-        let (flight, found) = fly_without(jet, FailureKind::Off, 0.0, START, 21.0);
-        assert!(found.is_some_and(|time| time < 0.075), "{jet}: {found:?}");
-        assert_eq!(flight.outcome, Outcome::Fell, "{jet}");
     }
 }
 

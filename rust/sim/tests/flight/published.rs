@@ -295,18 +295,3 @@ fn the_baseline_degrades_with_the_wind() {
         assert_close(&format!("{speed} m/s"), error, tabled, 0.6);
     }
 }
-
-/// The aware controller completes the flight in winds from every side.
-#[test]
-fn the_aware_controller_flies_in_every_wind() {
-    let diagonal = 0.5_f64.sqrt();
-    let directions =
-        [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [-diagonal, -diagonal, 0.0]];
-    let winds = directions.iter().flat_map(|d| [6.0, 12.0, 18.0, 24.0].map(|speed| d.map(|x| x * speed)));
-    let configs: Vec<ScenarioConfig> =
-        winds.map(|wind| with(as_published("test2"), |config| config.wind = ramp_to(wind))).collect();
-    for (config, flight) in configs.iter().zip(fly(&configs)) {
-        assert!(flight.loss.is_none(), "{:?}: {:?}", config.wind, flight.loss);
-        assert_eq!(flight.summary.ticks_without_solution, 0.0);
-    }
-}

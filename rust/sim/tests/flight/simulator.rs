@@ -310,10 +310,7 @@ fn a_batch_is_checked_before_it_flies() {
 fn falls_have_their_reason() {
     let tipped = with(experiment("test1"), |config| config.simulator.fall.rotation_error_deg = 10.0);
     let shoved = with(experiment("test1"), |config| config.simulator.fall.com_error = 0.1);
-    let blasted = with(short(1.0), |config| {
-        config.wind = flight_sim::WindConfig::Constant { velocity: [0.0, 1e200, 0.0] };
-    });
-    let flights = fly(&[tipped, shoved, blasted]);
+    let flights = fly(&[tipped, shoved]);
     let last = |flight: &FlightResult, name: &str| *data(flight, name).last().unwrap();
     for flight in &flights {
         let Loss { time, .. } = flight.loss.unwrap();
@@ -332,11 +329,7 @@ fn falls_have_their_reason() {
     assert!((0.1..0.11).contains(&distance));
     assert_eq!(reason(1).to_string(), "CoM error 0.10 m");
 
-    assert!(flights[..2].iter().all(|flight| flight.outcome == Outcome::Fell));
-
-    assert_eq!(reason(2), LossReason::Speed);
-    assert_eq!(reason(2).to_string(), "speed of base or air above 300 m/s");
-    assert_eq!((flights[2].outcome, flights[2].loss.unwrap().time), (Outcome::Diverged, 0.0));
+    assert!(flights.iter().all(|flight| flight.outcome == Outcome::Fell));
 }
 
 /// A flight that reaches its end has completed, or was off course where its position error after the start-up exceeds
