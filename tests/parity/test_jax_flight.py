@@ -51,10 +51,7 @@ def test_a_flight_along_a_recorded_reference(name, fly_both):
 
 
 VARIANTS = {
-    "engine_out": {
-        "simulator.duration": 24.0,
-        "disturbances.jets.thrust_limit_scale": 0.85,
-    },
+    "engine_out": {"simulator.duration": 24.0, "disturbances.jets.thrust_limit_scale": 0.85},
     "second_order_jets": {},
     "test2": {
         "simulator.substeps": 3,
@@ -264,12 +261,7 @@ class Wrapped:
 
 
 @pytest.mark.parametrize(
-    ("changes", "shares"),
-    [
-        ({}, True),
-        ({"controller.estimator": {}}, False),
-        ({"simulator.sensors": {}}, False),
-    ],
+    ("changes", "shares"), [({}, True), ({"controller.estimator": {}}, False), ({"simulator.sensors": {}}, False)]
 )
 @pytest.mark.usefixtures("x64")
 def test_the_world_is_not_where_the_controller_estimates_it(monkeypatch, changes, shares):

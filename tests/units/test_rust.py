@@ -460,8 +460,7 @@ def test_a_height_that_is_lost_is_announced():
     config = rust.load_config("test2_sensors", {"simulator.duration": 0.5, "simulator.sensors.height": {}})
     outage = {"channel": "height", "kind": "missing", "start": 0.1, "duration": 0.3}
     with_outage = rust.load_config(
-        "test2_sensors",
-        {"simulator.duration": 0.5, "simulator.sensors.height": {}, "disturbances.outages": [outage]},
+        "test2_sensors", {"simulator.duration": 0.5, "simulator.sensors.height": {}, "disturbances.outages": [outage]}
     )
     held = 1 << 25
     assert not (rust.fly(config)["degraded_modes"].astype(int) & held).any()

@@ -79,10 +79,7 @@ def wrong_twins(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
     yield "1 % of drag", of_plant(aero=replace(world.aero, drag=jnp.array(1.01)))
     yield "1 % of mass", of_robot(masses=1.01 * robot.masses)
     yield "1 % of inertia", of_robot(inertias=1.01 * robot.inertias)
-    yield (
-        "a dead time of one tick",
-        replace(scenario, actuation=replace(way, lag=way.lag + world.substeps)),
-    )
+    yield ("a dead time of one tick", replace(scenario, actuation=replace(way, lag=way.lag + world.substeps)))
     yield "the sign of the gyroscopic moment", of_plant(gyration=jnp.array(-1.0))
     yield "swapped jets", of_robot(jets=replace(robot.jets, positions=robot.jets.positions[swapped, :]))
     yield (
