@@ -622,20 +622,3 @@ fn bad_numbers_are_refused_by_name() {
     let said = sparrow.law.check(&footless).expect_err("refused").to_string();
     assert!(said.contains("controller.contact.feet names `l_sole`"), "{said}");
 }
-
-/// A measured wind that does not blow enters the controller's forces and not the simulator's.
-#[test]
-fn a_controller_wind_is_given_and_does_not_blow() {
-    let mut config = experiment("test2");
-    config.simulator.duration = 0.2;
-    let wind = flight_sim::WindConfig::Constant { velocity: [0.0, -10.0, 0.0] };
-    config.wind = flight_sim::WindConfig::Constant { velocity: [0.0; 3] };
-    config.disturbances.controller_wind = Some(wind);
-    let result = crate::common::fly(&[config]).remove(0);
-    let sideways = |name: &str| {
-        let series = result.log.series(name).unwrap();
-        series.row(10).chunks_exact(3).map(|force| force[1]).sum::<f64>()
-    };
-    assert!(sideways("aero_force_control") < -10.0);
-    assert_within!(sideways("aero_force_sim").abs(), 0.5);
-}

@@ -795,28 +795,6 @@ fn clarabel_commands_the_same() {
     compare(&config, &other, 1.5, Vector3::new(-25.0, 30.0, 0.0), 1e-6);
 }
 
-/// The baseline is the aware controller whose forces are zero: scaled away, or because there is no wind
-/// and the robot is at rest.
-#[test]
-fn the_baseline_is_the_aware_controller_without_forces() {
-    let baseline = experiment("test1");
-    let mut scaled = experiment("test2");
-    scaled.disturbances.aero_estimate.scale = 0.0;
-    compare(&baseline, &scaled, 2.0, wind(), 0.0);
-
-    let mut resting = Measurement::start(&baseline);
-    resting.state.velocity.fill(0.0);
-    resting.wind = Vector3::zeros();
-    let mut aware = controller(&experiment("test2"));
-    let mut unaware = controller(&baseline);
-    let expected = numbers(resting.tick(&mut unaware));
-    assert_equal("at rest", &numbers(resting.tick(&mut aware)), &expected, 0.0);
-    resting.wind = wind();
-    assert_eq!(numbers(resting.tick(&mut unaware)).len(), 50);
-    let apart = (&unaware.command().thrust_rate - &resting.tick(&mut aware).thrust_rate).amax();
-    assert!(apart > 1.0, "in wind they differ: by {apart} N/s");
-}
-
 /// Bounds on the rate of one value.
 fn rate_bounds(value: f64, limits: (f64, f64), rate_max: f64, steepness: f64) -> (f64, f64) {
     let values = LimitedValues {

@@ -11,7 +11,7 @@ use flight_core::control::law::mission::{Commands, Mission};
 use flight_core::control::law::recorded::RecordedMotion;
 use flight_core::control::law::setpoint::{RawSetpoint, Setpoint, SetpointConfig, SetpointGenerator};
 use flight_core::spatial::{
-    axis_angle, exp_so3, log_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
+    axis_angle, exp_so3, log_so3, orthonormality_error, rotation_from_rpy, rpy_from_rotation,
 };
 use flight_io::load_robot;
 use flight_sim::Plant;
@@ -252,25 +252,6 @@ fn the_closed_circuit_ends_where_it_should() {
     // Farthest from the start: two legs forwards and sideways.
     let far = flight.iter().map(|(raw, _)| raw.position.y).fold(f64::MIN, f64::max);
     assert_within!((far - leg).abs(), 0.02 * leg, because "sizes of paths that are compared with the table, not rounding", "{far} m to the side, legs of {leg} m");
-}
-
-/// Without commands the reference stays exactly where it starts.
-#[test]
-fn no_command_is_no_motion() {
-    let start = first_com();
-    for (_, reference) in generate("hover", 5.0) {
-        assert_within!((reference.com_position - start).amax(), 1e-13);
-        for derivative in [reference.com_velocity, reference.com_acceleration, reference.com_jerk] {
-            assert_within!(derivative.amax(), 1e-10);
-        }
-        assert_within!(
-            rotation_angle(
-                &(rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)).transpose() * reference.rotation)
-            ),
-            1e-14
-        );
-        assert_within!(reference.angular_velocity_b.amax(), 1e-14);
-    }
 }
 
 /// The smoothed attitude is a rotation at every tick of every mission.

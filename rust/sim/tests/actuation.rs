@@ -85,23 +85,6 @@ fn jitter_is_drawn_per_tick_up_to_its_size() {
     assert!(seen[2..].iter().all(|count| *count > 100), "{seen:?}");
 }
 
-/// With a command that waits for a tick, a flight is another one; without a delay it is the same.
-#[test]
-fn a_flight_without_delays_keeps_its_bits() {
-    let mut config = experiment("test2_observer");
-    config.simulator.duration = 0.3;
-    let at_once = fly(&config);
-    config.simulator.actuation = Some(ActuationConfig::default());
-    assert_eq!(at_once.log.series("joint_position"), fly(&config).log.series("joint_position"));
-    config.simulator.actuation = Some(ActuationConfig { torque_delay: 0.01, ..Default::default() });
-    let late = fly(&config);
-    assert_ne!(at_once.log.series("joint_position"), late.log.series("joint_position"));
-    // The first command acts in the first two ticks, so the states of ticks 0 and 1 are the same.
-    let row = |flight: &FlightResult, tick| flight.log.series("joint_position").unwrap().row(tick).to_vec();
-    assert_eq!(row(&at_once, 1), row(&late, 1));
-    assert_ne!(row(&at_once, 2), row(&late, 2));
-}
-
 /// Torques that are late by a tick of 10 ms: too late for the observer, not for the predictive law, and not for the
 /// observer with ticks of 5 ms. Lost commands are not felt.
 #[test]
