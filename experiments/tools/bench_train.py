@@ -142,7 +142,7 @@ def store(found: Mapping[str, Mapping[str, float]]) -> None:
         name=NAME,
         result=f"bench/{NAME}",
         title=TITLE,
-        about=f"{manifest.device()}",
+        about=manifest.device()["cpu"],
         command="taskset -c 0 python -m experiments.tools.bench_train --store",
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         commit=None if git["dirty"] else git["commit"],
