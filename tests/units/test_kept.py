@@ -195,7 +195,7 @@ def test_a_kept_verdict_is_that_of_its_rows_by_the_present_claims_of_the_present
     assert {one.verdict.kind for one in stored.claims(other).values()} == {Kind.OUTDATED}
     strict = {key: replace_most(one, 0.0) for key, one in stored.stated(document).items()}
     monkeypatch.setattr(paper, "stated", lambda _: tuple(strict.values()))
-    assert stored.claims(document)["mission_loss"].verdict.kind is Kind.DIFFERS
+    assert stored.claims(document)["mission_loss_paper"].verdict.kind is Kind.DIFFERS
 
 
 def replace_most(claim, at_most):
