@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import pyvista
 import xarray as xr
 
 from jax_aero import rust
@@ -28,6 +27,9 @@ from jax_aero.cfd.simulate import Unfit, make_mesh, solve
 from jax_aero.data.import_cfd import POSTURES, known_postures
 from jax_aero.results.study import Findings, Study
 
+if TYPE_CHECKING:
+    import pyvista
+
 FIELDS = {
     "pressure": "pressure coefficient",
     "speed": "speed over the wind's",
@@ -39,6 +41,8 @@ BESIDE, EVERY, LENGTH = 0.02, 80, 1.2
 
 def compute(_name: str, config: FlowConfig) -> Findings:
     """Simulate and sample the flow."""
+    import pyvista  # noqa: F401 - reads the case; refused before it is computed
+
     foam.environment()
     known = known_postures()
     if config.posture not in known:
@@ -82,6 +86,8 @@ def _part(area: npt.NDArray[np.float64], chosen: npt.NDArray[np.bool_]) -> float
 
 def read_case(folder: Path, ranks: int, air: Air) -> tuple[pyvista.UnstructuredGrid, pyvista.PolyData]:
     """Return the cells of the air and the surface of the links at the last iteration, with `FIELDS` in both."""
+    import pyvista
+
     path = folder / "case.foam"
     path.touch()
     reader = pyvista.POpenFOAMReader(path)
@@ -100,6 +106,8 @@ def read_case(folder: Path, ranks: int, air: Air) -> tuple[pyvista.UnstructuredG
 
 def streamlines(cells: pyvista.UnstructuredGrid, wall: pyvista.PolyData) -> pyvista.PolyData:
     """Return streamlines that pass close to the surface."""
+    import pyvista
+
     outwards = wall.compute_normals(consistent_normals=False, flip_normals=True).point_data["Normals"]
     seeds = pyvista.PolyData((wall.points + BESIDE * outwards)[::EVERY])
     # With VTK's default, the nearest points, velocity would be interpolated inside the bodies too.
