@@ -39,15 +39,7 @@ def test_flights_of_every_kind_are_healthy():
     assert {*OF_EVERY_KIND} < {*HEALTHY}
 
 
-FALSELY_LATE = {"mk3_design", "mk3_robot", "mk3_turbine"}
-"""In which compensated friction of 1.5 N m, where 0.5 N m are true, is taken for late torques: to be mended."""
-QUIET = [
-    pytest.param(name, marks=[pytest.mark.xfail(strict=True, raises=AssertionError)] if name in FALSELY_LATE else [])
-    for name in HEALTHY
-]
-
-
-@pytest.mark.parametrize("name", QUIET)
+@pytest.mark.parametrize("name", HEALTHY)
 def test_the_guard_does_nothing_while_nothing_fails(name):
     """To the last bit."""
     table = rust.load_config(name)
