@@ -223,12 +223,9 @@ TO_FLY = {
     "faults",
     "joint_failures",
     "outages_observer",
-    "robot_added",
     "robot_faults",
     "robot_joints",
     "robot_landing",
-    "robot_missions",
-    "robot_push_leg",
     "wind_humanoid_1",
     "wind_humanoid_1_mk3",
 }
