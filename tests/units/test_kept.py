@@ -223,6 +223,7 @@ TO_FLY = {
     "faults",
     "joint_failures",
     "outages_observer",
+    "robot_added",
     "robot_faults",
     "robot_joints",
     "robot_landing",
