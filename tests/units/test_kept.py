@@ -223,7 +223,6 @@ TO_FLY = {
     "faults",
     "joint_failures",
     "outages_observer",
-    "robot_added",
     "robot_faults",
     "robot_joints",
     "robot_landing",
