@@ -223,8 +223,6 @@ TO_FLY = {
     "faults",
     "joint_failures",
     "outages_observer",
-    "robot_faults",
-    "robot_joints",
     "robot_landing",
     "wind_humanoid_1",
     "wind_humanoid_1_mk3",
