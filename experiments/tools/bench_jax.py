@@ -1,7 +1,8 @@
 """Measure parts of a JAX flight and their gradients in one run: `python -m experiments.tools.bench_jax`.
 
 Times are per sample of a batch, in double precision, on JAX's default device; compilation is cold or from JAX's
-persistent cache. States are those of TEST2 hovering in the full wind. Prints the Markdown table of `docs/learning.md`.
+persistent cache. States are those of TEST2, and of `robot`, hovering in the full wind. Prints the Markdown
+table of `docs/learning.md`.
 """
 
 from __future__ import annotations
@@ -131,21 +132,30 @@ def _spread(sample: Any, size: int) -> Any:
 # --- cases ----------------------------------------------------------------------------------------------------------
 
 
-def _hovering_flight() -> tuple[Any, Any]:
-    """Return the scenario TEST2 and its state while hovering in the full wind."""
-    config = scenario_config(rust.load_config("test2"))
+def _hovering(name: str) -> tuple[Any, Any]:
+    """Return the scenario of an experiment and its state while hovering in the full wind."""
+    config = scenario_config(rust.load_config(name))
     scenario, start = sim.prepare(config)
     return scenario, fly_chunk(scenario, start, jnp.array(0, jnp.int32), HOVER)[0]
 
 
+def _all_cases() -> Iterator[Case]:
+    yield from cases(*_hovering("test2"))
+    yield _tick("robot", *_hovering("robot"))
+
+
 def cases(scenario: Any, hover: Any) -> Iterator[Case]:
-    """Yield all cases to measure."""
+    """Yield all cases to measure of TEST2."""
     robot, state = scenario.plant.robot, hover.plant.robot
     yield Case("forward dynamics (tree)", _forward("tree"), robot, state)
     for backend in ("tree", "mjx"):
         yield Case(f"gradient of forward dynamics ({backend})", _forward_gradient(backend), robot, state)
-    yield Case(f"closed-loop tick, of a rollout of {TICKS}", _rollout, scenario, hover, TICKS)
+    yield _tick("TEST2", scenario, hover)
     yield Case(f"its gradient by the aerodynamic areas, of {TICKS}", _gradient, scenario, hover, TICKS)
+
+
+def _tick(name: str, scenario: Any, hover: Any) -> Case:
+    return Case(f"closed-loop tick of {name}, of a rollout of {TICKS}", _rollout, scenario, hover, TICKS)
 
 
 def _forward(backend: Any) -> Callable[[RobotModel, State], Any]:

@@ -1,13 +1,15 @@
 """What no comparison has reached: numbers of JAX's controller and plant whose change nothing that was compared shows.
 
-A wrong number of these agrees in everything. Each is changed alone, in the random ticks and in one section of the
-flights after the other, until something compared is different. What a number of zero is multiplied with shows nothing,
-so only a comparison in which it is not zero reaches it.
+A wrong number of these agrees in everything. All that have shown nothing yet are changed together, in the random ticks
+and in one section of the flights after the other; where something compared is different, either half of them is, until
+each of those that show is found alone. What a number of zero is multiplied with shows nothing, so only a comparison in
+which it is not zero reaches it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -43,6 +45,9 @@ COPIED = (
 )
 """Beginnings of the names of a robot's numbers that no flight reads: it has a copy, or they are of other choices."""
 
+Change = tuple[str, Any]
+"""Name of a leaf, and its array with other numbers."""
+
 BEGUN = ("n_ticks", "plant.jets.failure_time", "plant.joint_faults.start", "plant.pushes.start")
 """Numbers that the first state of a flight has, or its end."""
 
@@ -58,48 +63,66 @@ class Compared(NamedTuple):
 def unreached(flown: Compared, others: Sequence[Compared] = ()) -> list[str]:
     """Return the names of all numbers of a scenario that nothing has reached, neither in `others` by the same name."""
     with jax.enable_x64(True):
-        reaches = [_Reach(*some) for some in (flown, *others)]
-        found = [] if reaches[0].integral >= INTEGRAL_LIMIT else ["limit of the integral"]
+        own = _Reach(*flown)
+        found = [] if own.integral >= INTEGRAL_LIMIT else ["limit of the integral"]
         # In the flight itself zeros beside other numbers have to show, too.
-        return found + [
-            name for name in reaches[0].names if not any(one.shows(name, zeros=one is reaches[0]) for one in reaches)
-        ]
+        left = own.hidden(own.names, zeros=True)
+        for other in others:
+            left = _Reach(*other).hidden(left, zeros=False)
+        return found + left
 
 
 class _Reach:
     """Which numbers one scenario's comparisons depend on."""
 
     def __init__(self, scenario: Scenario, samples: Sequence[Sample], sections: Sequence[Section]) -> None:
-        self.scenario, self.samples, self.astray = scenario, samples, sections[:ASTRAY]
-        self.expected = random_ticks(scenario, samples) if samples else {}
-        self.integral = np.abs(self.expected.get("velocity_error_integral", 0.0)).max(initial=0.0)
+        expected = random_ticks(scenario, samples) if samples else {}
+        self.integral = np.abs(expected.get("velocity_error_integral", 0.0)).max(initial=0.0)
         # Neighbours are alike, so by the golden ratio each section is far from those before it.
         flown = sections[ASTRAY:]
-        self.flown = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]
+        flown = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]
+        self.comparisons: list[Callable[[Scenario], bool]] = [
+            *([lambda changed: differ(random_ticks(changed, samples), expected)] if samples else []),
+            *(partial(is_another, section=section) for section in (*sections[:ASTRAY], *flown)),
+        ]
         leaves, self.structure = jax.tree_util.tree_flatten_with_path(scenario)
         self.values = [value for _, value in leaves]
         names = [jax.tree_util.keystr(path).lstrip(".") for path, _ in leaves]
         self.names = {name: place for place, name in enumerate(names) if not _is_copied(name)}
 
-    def shows(self, name: str, *, zeros: bool) -> bool:
-        """Return whether a change of a number that is not zero shows, and of `zeros` beside it."""
-        if name not in self.names:
-            return False
-        of_numbers, of_zeros = changes(self.values[self.names[name]])
-        if np.size(self.values[self.names[name]]) == 0:
-            return True
-        changed = [of_numbers, of_zeros] if zeros and of_zeros is not None else [of_numbers]
-        return of_numbers is not None and all(self._shows(name, value) for value in changed)
+    def hidden(self, names: Iterable[str], *, zeros: bool) -> list[str]:
+        """Return the names of which a change of what is not zero shows nothing, or one of `zeros` beside it."""
+        names, unseen, left = list(names), set[str](), list[Change]()
+        for name in names:
+            leaf = self.values[self.names[name]] if name in self.names else 0.0
+            if np.size(leaf):
+                of_numbers, of_zeros = changes(leaf)
+                if of_numbers is None:
+                    unseen.add(name)
+                    continue
+                left.append((name, of_numbers))
+                if zeros and of_zeros is not None:
+                    left.append((name, of_zeros))
+        for comparison in self.comparisons:
+            left = self._not_shown(comparison, left)
+        unseen |= {name for name, _ in left}
+        return [name for name in names if name in unseen]
 
-    def _shows(self, name: str, value: Any) -> bool:
+    def _not_shown(self, comparison: Callable[[Scenario], bool], made: list[Change]) -> list[Change]:
+        """Return the changes that do not show: all if none does together, otherwise those of either half."""
+        if not made or not comparison(self._changed(made)):
+            return made
+        if len(made) == 1:
+            return []
+        half = len(made) // 2
+        return self._not_shown(comparison, made[:half]) + self._not_shown(comparison, made[half:])
+
+    def _changed(self, made: Iterable[Change]) -> Scenario:
         values = list(self.values)
-        values[self.names[name]] = value
-        changed = jax.tree.unflatten(self.structure, values)
-        return (
-            any(is_another(changed, section) for section in self.astray)
-            or (bool(self.samples) and differ(random_ticks(changed, self.samples), self.expected))
-            or any(is_another(changed, section) for section in self.flown)
-        )
+        for name, value in made:
+            place = self.names[name]
+            values[place] = np.where(value == np.asarray(self.values[place]), values[place], value).astype(value.dtype)
+        return jax.tree.unflatten(self.structure, values)
 
 
 def _is_copied(name: str) -> bool:
