@@ -59,7 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.tools.bench_jax", description=__doc__)
     parser.add_argument("--batch", type=count, nargs="+", default=[1, 64], help="batch sizes (default 1 64)")
-    sizes = parser.parse_args(arguments).batch
+    parser.add_argument("--only", default="", metavar="WORDS", help="only what has these words in its name")
+    options = parser.parse_args(arguments)
+    sizes = options.batch
     untyped.config.update("jax_enable_x64", True)
     with tempfile.TemporaryDirectory() as cache:
         untyped.config.update("jax_compilation_cache_dir", cache)
@@ -67,8 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(_machine(), flush=True)
         heads = "".join(f" batch {size} |" for size in sizes)
         print(f"| what | {heads} compile, cold | cached |\n|---|{'---|' * (len(sizes) + 2)}", flush=True)
-        for case in cases(*_hovering_flight()):
-            print(_row(case, sizes), flush=True)
+        for case in _all_cases():
+            if options.only in case.name:
+                print(_row(case, sizes), flush=True)
     return 0
 
 
