@@ -122,7 +122,8 @@ class _Reach:
         for name, value in made:
             place = self.names[name]
             values[place] = np.where(value == np.asarray(self.values[place]), values[place], value).astype(value.dtype)
-        return jax.tree.unflatten(self.structure, values)
+        scenario: Scenario = jax.tree.unflatten(self.structure, values)
+        return scenario
 
 
 def _is_copied(name: str) -> bool:

@@ -57,6 +57,8 @@ class PolicyConfig(tables.Table, frozen=True):
     """Training by proximal policy optimisation instead."""
     experiment: str = "test1"
     """Robot, simulator and controller."""
+    set: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Changes of the experiment, by key."""
     steering: Steering = "rates"
     start: Perturbation = Perturbation()
     """Half widths of the distributions of starts, and of whatever else an episode draws."""
@@ -103,9 +105,14 @@ class PolicyConfig(tables.Table, frozen=True):
         assert self.ppo is not None
         return ppo.trainer(env, self.ppo)
 
+    @property
+    def flight(self) -> rust.Config:
+        """Return the experiment with its changes."""
+        return rust.load_config(self.experiment, self.set)
+
     def drawn(self, seed: int, count: int) -> list[dict[str, Any]]:
         """Return configurations with other starts."""
-        config = rust.load_config(self.experiment)
+        config = self.flight
         robot, drawn = rust.Robot(config["robot"]), [copy.deepcopy(config) for _ in range(count)]
         for repeat, one in enumerate(drawn):
             self.start.apply(one, seed, repeat, robot)
@@ -131,7 +138,7 @@ Judge = Callable[[Policy, int], tuple[NDArray[np.float64], NDArray[np.float64]]]
 def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
     """Train, resuming an interrupted run, and judge."""
     task, seeds = config.task, config.seeds
-    flight = rust.load_config(task.experiment)
+    flight = config.flight
     with jax.enable_x64(False):
         env = FlightEnv(task, config.drawn(TRAINING, config.starts))
         judge, trainer = judge_of(config), config.trainer(env)
