@@ -204,7 +204,8 @@ def profile(
     s = recording.signals
     left, top, right, bottom = box
     turns = float(np.ptp(s["com_setpoint"][:, 1])) > 2.0
-    columns = [0, 1] if turns else [0, 2]
+    across = int(np.argmax(np.ptp(s["com_position"][:, :2], axis=0)))
+    columns = [0, 1] if turns else [across, 2]
     path, wanted = s["com_position"][:, columns], s["com_setpoint"][:, columns]
     everything = np.concatenate([path, wanted])
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -212,6 +213,8 @@ def profile(
     room = np.array([right - left, bottom - top])
     metre = float(np.min(room / np.maximum(high - low, 1.0)))  # pixels
     span = room / metre
+    span[0] = min(span[0], max(high[0] - low[0], 0.5 * span[1]))
+    right = left + round(metre * float(span[0]))
 
     def pixel(point: Vector) -> tuple[float, float]:
         x, y = metre * (point - low)
@@ -219,7 +222,7 @@ def profile(
 
     draw.line((left, bottom, right, bottom), fill=SOFT, width=1)
     draw.line((left, bottom, left, top), fill=SOFT, width=1)
-    for x in _ticks(low[0], low[0] + span[0], 8):
+    for x in _ticks(low[0], low[0] + span[0], max(round((right - left) / (4.0 * size)), 2)):
         place = pixel(np.array([x, low[1]]))
         draw.line((*place, place[0], place[1] + 0.4 * size), fill=SOFT, width=1)
         text(draw, (place[0], place[1] + 0.5 * size), f"{x:g} m", int(0.75 * size), SOFT, anchor="ma")
@@ -227,20 +230,24 @@ def profile(
         place = pixel(np.array([low[0], z]))
         draw.line((place[0] - 0.4 * size, place[1], *place), fill=SOFT, width=1)
         text(draw, (place[0] - 0.6 * size, place[1]), f"{z:g} m", int(0.75 * size), SOFT, anchor="rm")
-    view = "from above" if turns else "from the side"
-    text(draw, (right, bottom + 1.3 * size), view, int(0.75 * size), SOFT, "ra")
+    view = "from above" if turns else f"height over {'xy'[across]}"
+    text(draw, (right + size, bottom), view, int(0.75 * size), SOFT, "ls")
     draw.line([pixel(p) for p in (*wanted[::10], wanted[-1])], fill=drawing.REFERENCE, width=max(size // 8, 1))
     draw.line([pixel(p) for p in (*path[::10], path[-1])], fill=drawing.TRAIL, width=max(size // 6, 2))
+    radius, letters = 0.62 * size, font(int(0.8 * size))
+    marks: list[tuple[tuple[float, float], str]] = []
     for number, time in enumerate(times, start=1):
-        place = pixel(recording.at(time).com[columns])
-        radius = 0.62 * size
-        draw.ellipse(
-            (place[0] - radius, place[1] - radius, place[0] + radius, place[1] + radius),
-            fill=PAPER,
-            outline=INK,
-            width=2,
-        )
-        draw.text(place, str(number), font=font(int(0.8 * size)), fill=INK, anchor="mm")
+        x, y = pixel(recording.at(time).com[columns])
+        near = (i for i, ((u, v), _) in enumerate(marks) if np.hypot(x - u, y - v) < 2.0 * radius)
+        if (same := next(near, None)) is None:
+            marks.append(((x, y), str(number)))
+        else:
+            marks[same] = marks[same][0], f"{marks[same][1]}, {number}"
+    for (x, y), numbers in marks:  # the first number is at its place
+        more = letters.getlength(numbers) - letters.getlength(numbers.partition(",")[0])
+        frame = (x - radius, y - radius, x + radius + more, y + radius)
+        draw.rounded_rectangle(frame, radius=radius, fill=PAPER, outline=INK, width=2)
+        draw.text((x + 0.5 * more, y), numbers, font=letters, fill=INK, anchor="mm")
 
 
 def _ticks(low: float, high: float, about: int) -> list[float]:

@@ -149,16 +149,26 @@ class Drawn:
     def text(self, _, words, anchor="la", **__):
         self.words.append((words, anchor))
 
-    def ellipse(self, *_, **__):
+    def rounded_rectangle(self, *_, **__):
         pass
 
 
 def test_a_profile_has_both_axes_and_their_numbers(seen):
     drawn = Drawn()
     labels.profile(drawn, (50, 20, 450, 220), seen, [1.0, 2.0], 12)
-    assert {(50, 220, 450, 220), (50, 220, 50, 20)} <= {tuple(points) for points in drawn.lines if len(points) == 4}
+    across, up = drawn.lines[:2]
+    assert across[:2] == up[:2] == (50, 220)
+    assert across[3] == 220, "horizontal"
+    assert 50 < across[2] <= 450, "as long as the path, or half as long as the other"
+    assert up[2:] == (50, 20)
     for anchor in ("ma", "rm"):  # below the axis, and left of it
         assert sum(at == anchor and words.endswith(" m") for words, at in drawn.words) >= 2
+
+
+def test_marks_at_one_place_are_one(seen):
+    drawn = Drawn()
+    labels.profile(drawn, (50, 20, 450, 220), seen, [1.0, 1.01, 19.0], 12)
+    assert [words for words, at in drawn.words if at == "mm"] == ["1, 2", "3"]
 
 
 def test_a_frame_says_what_flies_and_whose_ghost(seen, monkeypatch):

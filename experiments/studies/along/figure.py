@@ -36,6 +36,8 @@ def draw(study: xr.Dataset) -> Figure:
                 axes.plot(line["time"][-1], line[-1], "X", color=style.VERMILION, markersize=6)
     left.set_ylabel("fuel burnt [l]")
     left.set_ylim(bottom=0.0)
+    left.tick_params(labelbottom=True)
+    left.plot([], [], "X", color=style.VERMILION, label="lost")
     corrected.set_ylabel("exhaust axis to nearest link [mm]")
     corrected.set_title("lever arms corrected")
     published.set_title("lever arms as published")

@@ -12,6 +12,8 @@ from jax_aero.figures.entry import Entry
 
 NEWTON_METRES = 61.25
 """Moment per moment volume of 1 m³ at 10 m/s [N m]."""
+DASHES = ("-", ":")
+"""Line of a model with each of the lever arms."""
 SHOWN = {
     "axisymmetric, corrected": style.BLUE,
     "spheres and cylinders": style.GREEN,
@@ -35,7 +37,7 @@ def draw(study: xr.Dataset) -> Figure:
     _sideslip(grid[1, 0], study, "z", "yaw")
     _errors(grid[1, 1], study)
     style.letters(grid.flat)
-    for dash, arms in zip(("-", ":"), ARMS, strict=True):
+    for dash, arms in zip(DASHES, ARMS, strict=True):
         grid[0, 1].plot([], [], dash, color=style.GREY, label=f"model, {arms}")
     handles, labels = grid[0, 1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=6)
@@ -81,7 +83,7 @@ def _draw_measured(
 
 def _models(axes: Axes, points: xr.Dataset, x: np.ndarray, axis: str) -> None:
     for name, colour in SHOWN.items():
-        for arms, dash in zip(points["arms"].values, ("-", ":"), strict=True):
+        for arms, dash in zip(points["arms"].values, DASHES, strict=True):
             y = points["predicted"].sel(model=name, arms=arms, axis=axis).values * NEWTON_METRES
             places, first = np.unique(np.round(x), return_inverse=True)
             mean = np.bincount(first, y) / np.bincount(first)
@@ -92,21 +94,20 @@ def _models(axes: Axes, points: xr.Dataset, x: np.ndarray, axis: str) -> None:
 def _errors(axes: Axes, study: xr.Dataset) -> None:
     """Draw the rms error over the points of hovering postures with the robot alone."""
     names = [str(name) for name in study["model"].values]
-    colours = (style.BLUE, style.VERMILION)
     for row, name in enumerate(names):
-        for a, (arms, colour) in enumerate(zip(study["arms"].values, colours, strict=True)):
+        for a, (arms, dash) in enumerate(zip(study["arms"].values, DASHES, strict=True)):
             for s, (side, marker) in enumerate(SIDES.items()):
                 if a and row == 0:
                     continue
                 at = {"model": name, "arms": arms, "side": side, "group": "hovering"}
                 low, high = study["interval"].sel(at).values
                 y = row + 0.18 * (2 * a + s - 1.5)
-                axes.plot([low, high], [y, y], color=colour, linewidth=1.0)
-                axes.plot(float(study["rms"].sel(at)), y, marker, color=colour, markersize=3)
+                axes.plot([low, high], [y, y], dash, color=style.BLACK, linewidth=1.0)
+                axes.plot(float(study["rms"].sel(at)), y, marker, color=style.BLACK, markersize=3)
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.set_xlabel("rms error at 10 m/s, 95 % interval [N m]")
-    axes.set_title(f"hovering; red: {ARMS[1]}")
+    axes.set_title(f"hovering; dotted: {ARMS[1]}")
 
 
 FIGURES = {
