@@ -30,6 +30,9 @@ ASTRAY = 4
 SEEN = 1e-6
 """Difference that counts, relative to the greatest entry: far more than any tolerance."""
 
+FEW = 10
+"""Random ticks that are computed anew at once; almost everything shows in the first of them."""
+
 ROBOTS = ("plant.robot.", "controller_model.")
 
 COPIED = (
@@ -76,13 +79,14 @@ class _Reach:
     """Which numbers one scenario's comparisons depend on."""
 
     def __init__(self, scenario: Scenario, samples: Sequence[Sample], sections: Sequence[Section]) -> None:
-        expected = random_ticks(scenario, samples) if samples else {}
-        self.integral = np.abs(expected.get("velocity_error_integral", 0.0)).max(initial=0.0)
+        parts = [samples[first : first + FEW] for first in range(0, len(samples), FEW)]
+        expected = [random_ticks(scenario, part) for part in parts]
+        self.integral = max((np.abs(part["velocity_error_integral"]).max() for part in expected), default=0.0)
         # Neighbours are alike, so by the golden ratio each section is far from those before it.
         flown = sections[ASTRAY:]
         flown = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]
         self.comparisons: list[Callable[[Scenario], bool]] = [
-            *([lambda changed: differ(random_ticks(changed, samples), expected)] if samples else []),
+            *map(partial(partial, _are_others), parts, expected),
             *(partial(is_another, section=section) for section in (*sections[:ASTRAY], *flown)),
         ]
         leaves, self.structure = jax.tree_util.tree_flatten_with_path(scenario)
@@ -150,6 +154,11 @@ def changes(leaf: Any) -> tuple[Any | None, Any | None]:
         np.where(chosen, other, leaf).astype(leaf.dtype) if chosen.any() else None for chosen in (~is_zero, is_zero)
     ]
     return parts[0], parts[1]
+
+
+def _are_others(samples: Sequence[Sample], expected: Mapping[str, Any], changed: Scenario) -> bool:
+    """Return whether random ticks are others in a changed scenario."""
+    return differ(random_ticks(changed, samples), expected)
 
 
 def is_another(changed: Scenario, section: Section) -> bool:
