@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 from jax_aero import config, rust
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.axisymmetric import Axisymmetric
-from jax_aero.base import places, typed
+from jax_aero.base import places, typed_config
 from jax_aero.body.robot import AeroLinks, RobotModel, load_robot
 from jax_aero.body.spatial import cross
 from jax_aero.mujoco.model import mjx as mjx
@@ -192,7 +192,7 @@ def _xfrc(air: Air, data: _MujocoState, wind: Array) -> Array:
 
 def settings(name: str) -> config.AeroConfig:
     """Return the configuration of an aerodynamic model, given its name in `configs/aero` or the path of a file."""
-    return typed.aero_config(rust.load_aero(name))
+    return typed_config.aero_config(rust.load_aero(name))
 
 
 def default_model(robot: RobotModel) -> str:

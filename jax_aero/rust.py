@@ -52,7 +52,7 @@ from jax_aero._core import (
 )
 from jax_aero.base.keys import parts
 from jax_aero.base.places import find
-from jax_aero.base.plain import to_builtins
+from jax_aero.base.plain_values import to_builtins
 from jax_aero.base.result import FlightResult, brief
 from jax_aero.base.terminal import ConfigError, Progress
 from jax_aero.body import spatial

@@ -33,7 +33,7 @@ from jax_aero.base.controllers import CONTROLLERS
 from jax_aero.base.quantities import shown
 from jax_aero.base.result import ending
 from jax_aero.base.terminal import Refused
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.commands import study as studies
 from jax_aero.refusals import refused
 from jax_aero.results import kept, kept_tables

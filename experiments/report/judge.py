@@ -23,7 +23,7 @@ from experiments.report.results import NotFlownError, Results, StaleError
 from jax_aero import rust
 from jax_aero.base import places, tables
 from jax_aero.base.files import read_json
-from jax_aero.base.named import file_hash
+from jax_aero.base.references import file_hash
 from jax_aero.base.terminal import ConfigError, Refused
 from jax_aero.results import manifest
 from jax_aero.results.identity import VERSIONS

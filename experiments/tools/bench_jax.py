@@ -23,7 +23,7 @@ import numpy as np
 
 from jax_aero import rust, sim
 from jax_aero.base.arguments import count
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import RobotModel

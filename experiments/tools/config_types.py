@@ -14,7 +14,7 @@ from jax_aero.base import places
 HEAD = '''"""Types of a flight's configuration, as `make generated` writes them; `configs/schema` describes every key.
 
 A list is a tuple, and a table of several kinds the union of a type for each: `AeroConfig` with `model = "off"` is an
-`OffAeroConfig`. Tables that the crate alone reads are plain. `jax_aero.base.typed` fills them.
+`OffAeroConfig`. Tables that the crate alone reads are plain. `jax_aero.base.typed_config` fills them.
 
 >>> FilterConfig(delay=0.02)
 FilterConfig(delay=0.02, time_constant=0.0)

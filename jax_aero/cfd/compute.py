@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from jax_aero.aero.dataset import Dataset, Floats, save
-from jax_aero.base import places, plain, tables
+from jax_aero.base import places, plain_values, tables
 from jax_aero.base.files import lock_work, read_json, write_json
 from jax_aero.base.terminal import Refused, terminal
 from jax_aero.cfd.design import KIND, Case, Design
@@ -60,7 +60,7 @@ def compute(design: Design, folder: Path, simulator: Simulate = simulate) -> Non
             with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
                 solved = simulator(surfaces[name], winds, settings, Path(scratch)) if winds else ()
                 for case, result in zip(cases, solved, strict=True):
-                    work.write_json(case.name, plain.to_builtins(result))
+                    work.write_json(case.name, plain_values.to_builtins(result))
                     bar.update()
 
 
@@ -85,7 +85,7 @@ def collect(design: Design, folder: Path) -> str:
     document = manifest.build(
         design.name,
         design.spec.title,
-        plain.to_builtins(design.spec),
+        plain_values.to_builtins(design.spec),
         identity,
         summary=summary,
         command=["jax-aero", KIND, design.name, *overrides.options(design.changes, design.named)],
@@ -97,7 +97,7 @@ def collect(design: Design, folder: Path) -> str:
 
     def write(draft: Path) -> None:
         save(dataset, draft / "dataset.nc")
-        write_json(draft / CASES, {case.name: plain.to_builtins(result) for case, result in found.items()})
+        write_json(draft / CASES, {case.name: plain_values.to_builtins(result) for case, result in found.items()})
 
     with lock_work(folder):
         record.write_result(folder, document, write, replace=True)
@@ -152,7 +152,7 @@ def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
         provenance={
             "source": f"OpenFOAM (simpleFoam, k-omega SST) around {design.spec.geometry} of the URDF; jax-aero cfd",
             "design": design.name,
-            "settings": json.dumps(plain.to_builtins(design.spec.settings), sort_keys=True),
+            "settings": json.dumps(plain_values.to_builtins(design.spec.settings), sort_keys=True),
             "robot_sha256": design.digest,
         },
     )

@@ -16,7 +16,7 @@ import numpy as np
 
 from jax_aero import rust
 from jax_aero.aero.dataset import Floats, read_postures, wind_direction
-from jax_aero.base import plain, tables
+from jax_aero.base import plain_values, tables
 from jax_aero.base.terminal import ConfigError, Refused
 from jax_aero.cfd.case import DICTIONARIES
 from jax_aero.cfd.geometry import Surface, robot_surfaces
@@ -202,7 +202,7 @@ class Design:
     @property
     def digest(self) -> str:
         """Return a hash of everything that determines a case's result; postures and winds can be added to a design."""
-        settings = plain.to_builtins(self.spec.settings)
+        settings = plain_values.to_builtins(self.spec.settings)
         settings["solver"].pop("ranks")
         text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text
         text += json.dumps(self.taps) if self.taps else ""

@@ -13,7 +13,7 @@ import xarray as xr
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.aero.dataset import Floats, wind_direction
-from jax_aero.base import places, typed
+from jax_aero.base import places, typed_config
 from jax_aero.base.places import ROBOT
 from jax_aero.body.kinematics import kinematics_at_rest
 from jax_aero.body.robot import RobotModel
@@ -47,7 +47,7 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
 def evaluate_areas(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: Floats) -> Floats:
     """Return the force areas (N, 13, 3) [m²] of a model at rest in air of velocity (N, 3) [m/s], base axes."""
     with jax.enable_x64(True):
-        model = aero_model(typed.aero_config(table), robot)
+        model = aero_model(typed_config.aero_config(table), robot)
 
         def areas_in_wind(position: Any, wind: Any) -> Any:
             link = link_forces(model, robot, kinematics_at_rest(robot, position), LinkConventions(), wind)

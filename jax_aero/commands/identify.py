@@ -31,10 +31,10 @@ from scipy.special import ndtr, ndtri
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
-from jax_aero.base import arguments, places, plain, tables
+from jax_aero.base import arguments, places, plain_values, tables
 from jax_aero.base.files import complete_folder
 from jax_aero.base.terminal import Refused, exit_status
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.kinematics import kinematics_at_rest
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.body.spatial import rotate
@@ -585,7 +585,7 @@ def _excite(given: argparse.Namespace) -> int:
         none = dict.fromkeys((name for name, given in config["mission"].items() if given and name != "file"), ())
         mission = {"base": str(experiment.resolve()), **changes, "mission": {"file": "excite.csv", **none}}
         mission["wind"] = {"base": str(study.find("wind", given.wind))}
-        text = plain.toml(mission | {"simulator": {"duration": excite.SPAN[1] + 2.0}})
+        text = plain_values.toml(mission | {"simulator": {"duration": excite.SPAN[1] + 2.0}})
         (draft / "excite.toml").write_text(text + "\n", encoding="utf-8")
     print(f"fly it: jax-aero fly {folder / 'excite.toml'}")
     return 0

@@ -20,7 +20,7 @@ from jax_aero.base.arguments import Parser
 from jax_aero.base.files import checksums, write_bytes, write_json, write_text
 from jax_aero.base.renamed import MODES, OUTCOMES, VALUES, Key, new_key
 from jax_aero.base.terminal import Refused, exit_status
-from jax_aero.base.typed import make_paths_absolute
+from jax_aero.base.typed_config import make_paths_absolute
 
 ROOTS: dict[str, Key] = {
     "control": ("controller",),

@@ -9,8 +9,8 @@ from typing import Any
 
 from jax_aero import rust
 from jax_aero.base.arguments import Parser
-from jax_aero.base.named import copy_named
 from jax_aero.base.places import find, name_of
+from jax_aero.base.references import copy_named
 from jax_aero.base.terminal import ConfigError, Progress, exit_status, progress_bar
 from jax_aero.view import Refused, recording
 from jax_aero.view.ros2 import BAG

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.base import plain
+from jax_aero.base import plain_values
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotation_from_rpy
 from jax_aero.train.identify import Model, Numbers, robot_with
@@ -42,7 +42,7 @@ def write_robot(folder: Path, source: Path, model: Model, numbers: Numbers, note
         for jet, axis in zip(table["jets"], np.asarray(found.jets.axes), strict=True)
     ]
     changed = {"base": str(source.resolve()), "urdf": "robot.urdf", "jets": jets}
-    text = "".join(f"# {note}\n" for note in notes) + plain.toml(changed) + "\n"
+    text = "".join(f"# {note}\n" for note in notes) + plain_values.toml(changed) + "\n"
     (folder / "robot.toml").write_text(text, encoding="utf-8")
     return folder / "robot.toml"
 
@@ -113,7 +113,7 @@ def write_perturbation(folder: Path, deviation: Numbers) -> Path:
     widths = {
         name: float(f"{np.sqrt(3.0 * np.mean(np.square(part))):.3g}") for name, part in of.items() if np.size(part)
     }
-    (folder / "perturbation.toml").write_text(plain.toml(widths) + "\n", encoding="utf-8")
+    (folder / "perturbation.toml").write_text(plain_values.toml(widths) + "\n", encoding="utf-8")
     return folder / "perturbation.toml"
 
 
@@ -156,5 +156,5 @@ def write_experiment(folder: Path, config: rust.Config, robot: RobotModel, numbe
     disturbances.pop("model_error", None)
     changed = {"simulator": simulator, "disturbances": disturbances, "controller": controller, "robot": "robot.toml"}
     flown = {**config, **changed}
-    (folder / "experiment.toml").write_text(plain.toml(flown) + "\n", encoding="utf-8")
+    (folder / "experiment.toml").write_text(plain_values.toml(flown) + "\n", encoding="utf-8")
     return folder / "experiment.toml"

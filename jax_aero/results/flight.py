@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero import backends, rust
-from jax_aero.base import documents, places, typed
+from jax_aero.base import documents, places, typed_config
 from jax_aero.base.files import lock_work
 from jax_aero.base.terminal import Refused, progress_bar
 from jax_aero.results import manifest, record, study
@@ -106,7 +106,7 @@ def run(
         dataset = record.to_dataset(
             flight, robot, title=document["title"], config_digest=identity.digest, backend=backend
         )
-        copy = functools.partial(typed.copy_outside, config)
+        copy = functools.partial(typed_config.copy_outside, config)
         record.write_run(folder, dataset, document, replace=overwrite, more=copy)
     print(os.path.relpath(folder / places.RUN_FILE))
     return document

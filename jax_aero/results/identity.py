@@ -16,8 +16,8 @@ from typing import Any
 
 from jax_aero import rust
 from jax_aero.base import numerics
-from jax_aero.base.named import file_hash
-from jax_aero.base.typed import make_portable
+from jax_aero.base.references import file_hash
+from jax_aero.base.typed_config import make_portable
 
 ANOTHER = "another configuration"
 

@@ -16,7 +16,7 @@ from typing import Any
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.files import replace_infinite
-from jax_aero.base.typed import make_portable as make_portable
+from jax_aero.base.typed_config import make_portable as make_portable
 from jax_aero.results.identity import Identity
 
 

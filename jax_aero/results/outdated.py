@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero import rust
-from jax_aero.base import documents, kinds, places, plain, tables
+from jax_aero.base import documents, kinds, places, plain_values, tables
 from jax_aero.base.files import read_json
-from jax_aero.base.named import file_hash
+from jax_aero.base.references import file_hash
 from jax_aero.base.terminal import Refused
 from jax_aero.cfd.settings import FlowConfig
 from jax_aero.results import manifest
@@ -74,7 +74,7 @@ def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
         return other_numerics(document)
     found = []
     if kind in WITH_FILES and name in places.names(kind):
-        today = plain.to_builtins(tables.load(places.find(kind, name), WITH_FILES[kind]))
+        today = plain_values.to_builtins(tables.load(places.find(kind, name), WITH_FILES[kind]))
         found.append(_list_keys(_differing_keys(config, manifest.make_portable(today))))
     for one, digest in sources["flights"].items():
         differs = _configuration(one, digest, sources.get("configurations", {}).get(one))

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jax_aero.base import places, plain
+from jax_aero.base import places, plain_values
 from jax_aero.base.keys import parse_assignments as parse
 
 __all__ = ["folder_suffix", "options", "parse"]
@@ -27,7 +27,7 @@ def folder_suffix(overrides: Mapping[str, Any]) -> str:
 
 def options(changes: Mapping[str, Any], named: str | None = None) -> list[str]:
     """Return the command line options that make these changes and give the result this name."""
-    assignments = (f"{key}={plain.toml_value(value)}" for key, value in changes.items())
+    assignments = (f"{key}={plain_values.toml_value(value)}" for key, value in changes.items())
     words = [word for assignment in assignments for word in ("--set", assignment)]
     return words if named is None else [*words, "--name", named]
 

@@ -21,11 +21,11 @@ import xarray as xr
 from msgspec import structs
 
 from jax_aero import rust
-from jax_aero.base import arguments, kinds, places, plain, tables
+from jax_aero.base import arguments, kinds, places, plain_values, tables
 from jax_aero.base.arguments import Parser, complete_with
 from jax_aero.base.files import lock_work
 from jax_aero.base.keys import parts, set_key
-from jax_aero.base.named import file_hash
+from jax_aero.base.references import file_hash
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.results import manifest, overrides, record
 from jax_aero.results.identity import Identity
@@ -137,7 +137,7 @@ class Study(Generic[C]):
         with lock_work(folder):
             read = [*tables.files(config), *self.reads(name, config)]
             record.check_replaceable(folder, lambda kept: _is_of(config, read, kept), overwrite=overwrite)
-            table = plain.to_builtins(config)
+            table = plain_values.to_builtins(config)
             under_way = [Work.on(folder, Identity.of({"config": table}, read))] if self.resumes else []
             findings: Findings = self.compute(name, config, *under_way)
             timings = {**findings.timings, "all": time.perf_counter() - started}
@@ -174,7 +174,7 @@ class Study(Generic[C]):
 def _is_of(config: tables.Table, files: Sequence[Path], kept: Mapping[str, Any]) -> bool:
     """Return whether a manifest is that of a result with these keys and with these files in their present state."""
     same_files = file_hashes(files).items() <= kept.get("sources", {}).get("files", {}).items()
-    return same_files and bool(kept.get("config") == manifest.make_portable(plain.to_builtins(config)))
+    return same_files and bool(kept.get("config") == manifest.make_portable(plain_values.to_builtins(config)))
 
 
 def file_hashes(files: Iterable[Path]) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.base import places, plain
+from jax_aero.base import places, plain_values
 from jax_aero.body.mirror import mirror_name
 from jax_aero.body.robot import RobotModel
 from jax_aero.symbolic.robot import Robot
@@ -80,7 +80,7 @@ def controller_text(
     """
     table = controller(name, robot, dynamics, leans=leans, soles=soles)
     table["aero"] = {"base": _relative_path(AIR, folder), "coefficients": COEFFICIENTS}
-    return f"{RULES}\n{plain.toml(table)}\n"
+    return f"{RULES}\n{plain_values.toml(table)}\n"
 
 
 def controller(
@@ -163,9 +163,9 @@ def scenario_text(
     attitude = ", ".join(repr(float(value)) for value in np.degrees(trim.base_rpy))
 
     def path_of(kind: str, name: str) -> str:
-        return plain.toml_value(_relative_path(places.CONFIGS / kind / f"{name}.toml", folder))
+        return plain_values.toml_value(_relative_path(places.CONFIGS / kind / f"{name}.toml", folder))
 
-    return f"""title = {plain.toml_value(f"{robot.name}: {title}")}
+    return f"""title = {plain_values.toml_value(f"{robot.name}: {title}")}
 description = "Starts in the trim that `jax-aero robot import` found."
 robot = "robot.toml"
 controller = {{ base = "controller.toml" }}

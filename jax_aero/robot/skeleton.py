@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero.base.places import did_you_mean
-from jax_aero.base.plain import toml_key, toml_value
+from jax_aero.base.plain_values import toml_key, toml_value
 from jax_aero.base.terminal import Refused
 from jax_aero.body.urdf import IDENTITY, Joint, Pose, Urdf
 from jax_aero.robot.shapes import Array, Box

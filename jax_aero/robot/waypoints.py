@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from jax_aero import rust
-from jax_aero.base import places, plain, tables
+from jax_aero.base import places, plain_values, tables
 from jax_aero.base.arguments import Parser
 from jax_aero.base.files import write_text
 from jax_aero.base.tables import Positive, Table
@@ -150,7 +150,7 @@ def write(path: Path, points: Waypoints, folder: Path, *, overwrite: bool = Fals
     files = {
         mission: text,
         flight: f"# Source: ours, jax-aero robot waypoints {path.stem}\n"
-        f"base = {plain.toml_value(base)}\ntitle = {plain.toml_value(points.title)}\n"
+        f"base = {plain_values.toml_value(base)}\ntitle = {plain_values.toml_value(points.title)}\n"
         f'mission = {{ file = "mission.csv"{without} }}\nsimulator = {{ duration = {duration:g} }}\n',
     }
     for file, content in files.items():

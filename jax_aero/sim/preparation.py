@@ -13,7 +13,7 @@ import numpy as np
 from jax_aero import rust
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.jets import JetDynamics
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.config import ScenarioConfig

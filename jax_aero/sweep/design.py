@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.base import plain
-from jax_aero.base.named import file_hash
+from jax_aero.base import plain_values
+from jax_aero.base.references import file_hash
 from jax_aero.base.terminal import ConfigError, Refused
 from jax_aero.results import manifest
 from jax_aero.sweep import columns, keys, table
@@ -127,7 +127,7 @@ class Design:
             "labels": [[level.label for level in levels] for levels in self.cells],
             "cells": [table.config_hash(self.cell_config(cell)) for cell in self._first_of_levels()],
             "networks": [[card.name, file_hash(card)] for card in members(ensemble)] if ensemble else [],
-            "perturbation": manifest.make_portable(plain.to_builtins(self.spec.perturbation)),
+            "perturbation": manifest.make_portable(plain_values.to_builtins(self.spec.perturbation)),
         }
 
     def _first_of_levels(self) -> Iterator[int]:

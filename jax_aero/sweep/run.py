@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jax_aero import backends, rust
-from jax_aero.base import documents, places, plain
+from jax_aero.base import documents, places, plain_values
 from jax_aero.base.files import lock_work, resolve, write_bytes, write_json
 from jax_aero.base.kinds import KINDS
 from jax_aero.base.parquet import read_parquet, read_table
@@ -191,7 +191,7 @@ def _document(design: Design, folder: Path) -> dict[str, Any]:
 def describe(spec: Spec) -> dict[str, Any]:
     """Return the part of `SWEEP_FILE` that comes from the file of a sweep."""
     keys = ("name", "title", "description", "drawing", "panels", "design", "seed", "repeats", "chunk", "backend")
-    perturbation = plain.to_builtins(spec.perturbation)
+    perturbation = plain_values.to_builtins(spec.perturbation)
     flown: dict[str, Any] = manifest.make_portable(
         {"base": spec.base, "set": dict(spec.set), "perturbation": perturbation}
     )

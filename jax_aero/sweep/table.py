@@ -18,7 +18,7 @@ from jax_aero import rust
 from jax_aero.backends import Failure
 from jax_aero.base import quantities
 from jax_aero.base.keys import get, set_key
-from jax_aero.base.named import file_hash
+from jax_aero.base.references import file_hash
 from jax_aero.base.result import FlightResult
 from jax_aero.sweep import aggregate, columns
 from jax_aero.sweep.spec import Level, Spec

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from jax_aero.aero.network import BLOCKS, Layer, Network, block_sizes, raw_output
-from jax_aero.base import plain, tables
+from jax_aero.base import plain_values, tables
 from jax_aero.base.terminal import ConfigError
 from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -131,7 +131,7 @@ def fit(
     Interrupted
         On Ctrl-C, after the checkpoint is written.
     """
-    settings = tables.convert(plain.to_table(settings), Settings, "settings")
+    settings = tables.convert(plain_values.to_table(settings), Settings, "settings")
     count = len(training.x)
     batch = settings.batch or count
     if batch > count:
@@ -264,7 +264,7 @@ def _noise(network: Network, settings: Settings) -> Array:
 
 
 def _digest(network: Network, training: Samples, validation: Samples | None, settings: Settings, seed: int) -> str:
-    total = hashlib.sha256(json.dumps([plain.to_builtins(settings), ERROR_UNIT, seed], sort_keys=True).encode())
+    total = hashlib.sha256(json.dumps([plain_values.to_builtins(settings), ERROR_UNIT, seed], sort_keys=True).encode())
     shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
     total.update(repr(shape).encode())
     for array in (*training, *(validation or ()), *jax.tree.leaves(network.layers)):

@@ -24,7 +24,7 @@ import optuna
 from msgspec.structs import replace
 
 from jax_aero.aero.dataset import Dataset, load
-from jax_aero.base import places, plain, tables
+from jax_aero.base import places, plain_values, tables
 from jax_aero.base.arguments import Parser, count
 from jax_aero.base.files import lock_work, resolve, write_text
 from jax_aero.base.keys import set_key
@@ -50,7 +50,7 @@ class Range(tables.Table, frozen=True):
         """Refuse the range of this key if it is neither choices nor an interval."""
         numbers = [number is not None for number in (self.low, self.high)]
         if any(numbers) if self.choices is not None else not all(numbers):
-            raise ConfigError.of(key, plain.to_table(self), "choices, or low and high, perhaps log")
+            raise ConfigError.of(key, plain_values.to_table(self), "choices, or low and high, perhaps log")
         if self.low is not None and self.high is not None:
             if not self.low < self.high:
                 raise ConfigError.of(f"{key}.low", self.low, f"a number below high, {self.high:g}")
@@ -101,7 +101,7 @@ def run(given: argparse.Namespace) -> None:
     robot = replace_keys(settings.base, base, {}).robot_model
     dataset = load(given.dataset, robot)
     out = resolve(given.out or RESULTS / study.result_name("training_search", path))
-    table = {**plain.to_builtins(settings), "base": base}
+    table = {**plain_values.to_builtins(settings), "base": base}
     identity = Identity.of({"table": table, "data": dataset.sha256}, [settings.base], [PYTHON])
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # with warnings it prints a traceback after Ctrl-C
     search, trials = optuna.create_study(direction="minimize"), list[Trial]()

@@ -232,7 +232,7 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
 
 def compared(config: Mapping[str, Any]) -> Literal["tick", "law", "nothing"]:
     """Return what of a flight JAX computes: every "tick", the "law" alone, or "nothing" of its controller."""
-    from jax_aero.base.typed import scenario_config
+    from jax_aero.base.typed_config import scenario_config
     from jax_aero.refusals import refused
 
     typed = scenario_config(config)

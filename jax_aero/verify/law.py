@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from jax_aero import rust
 from jax_aero.base.result import FlightResult
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.body.spatial import rpy_from_rotation
 from jax_aero.control.measurement import Measurement

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero import backends, rust
-from jax_aero.base import places, plain
+from jax_aero.base import places, plain_values
 from jax_aero.base.result import FlightResult
 from jax_aero.base.terminal import Refused
 from jax_aero.verify import Row, compare
@@ -94,7 +94,7 @@ def commands(config: Mapping[str, Any], flight: FlightResult, path: Path) -> lis
     header = _Header(library.flight_version(), *sizes)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "flight.toml"
-        file.write_text(plain.toml(config), encoding="utf-8")
+        file.write_text(plain_values.toml(config), encoding="utf-8")
         controller = create(header, bytes(file), message, len(message))
     if controller is None:
         raise Refused(f"{path}: {message.value.decode()}; expected the library of this version: {BUILD}")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.base import sizes, typed
+from jax_aero.base import sizes, typed_config
 from jax_aero.base.files import parse_json, read_bytes
 from jax_aero.base.parquet import read_table
 from jax_aero.base.places import did_you_mean
@@ -134,7 +134,7 @@ def read_mcap(
     try:
         for record in _records(path):
             if isinstance(record, Metadata) and record.name == METADATA and "config" in record.metadata:
-                config = typed.make_paths_absolute(parse_json(record.metadata["config"].encode()))
+                config = typed_config.make_paths_absolute(parse_json(record.metadata["config"].encode()))
             elif isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, Message):

@@ -30,7 +30,7 @@ from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.files import complete_file, write_text
 from jax_aero.base.terminal import Progress
-from jax_aero.base.typed import make_portable
+from jax_aero.base.typed_config import make_portable
 from jax_aero.view import Refused, check_out, foxglove, require, ros2
 from jax_aero.view.recording import Recording, entries_of
 from jax_aero.view.topics import Topic

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.base import netcdf, sizes, typed
+from jax_aero.base import netcdf, sizes, typed_config
 from jax_aero.base.files import complete_file, parse_json
 from jax_aero.base.places import did_you_mean
 from jax_aero.view import Refused, check_out, require
@@ -136,7 +136,7 @@ def read_mat(path: Path) -> tuple[Columns, dict[str, Any]]:
         raise Refused(f"`{path}` has no data in `{ROOT}`; expected a log of the robot's own software")
     start = min(times[0] for times, _ in columns.values())
     if "config" in facts:
-        facts["config"] = typed.make_paths_absolute(parse_json(facts["config"].encode()))
+        facts["config"] = typed_config.make_paths_absolute(parse_json(facts["config"].encode()))
     return {name: (times - start, rows) for name, (times, rows) in columns.items()}, facts
 
 

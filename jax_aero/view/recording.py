@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.base import documents, typed
+from jax_aero.base import documents, typed_config
 from jax_aero.base.files import find_damaged, read_json
 from jax_aero.base.places import MANIFEST_FILE, RESULTS, RUN_FILE
 from jax_aero.base.result import ending, labels_of
@@ -233,7 +233,7 @@ def _read(path: Path, robot: str | Path | None) -> Recording:
         raise Refused(f"`{path}` is not what was written there, by the checksum in {MANIFEST_FILE}; {EXPECTED}")
     signals, facts = _read_signals(path)
     try:
-        config = typed.make_paths_absolute(manifest["config"], path.parent) if "config" in manifest else None
+        config = typed_config.make_paths_absolute(manifest["config"], path.parent) if "config" in manifest else None
     except ConfigError as reason:
         raise reason.in_file(str(described)) from None
     robot_path = _robot_path(path, config, robot)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from jax_aero import backends, rust
 from jax_aero.base import places
-from jax_aero.base.named import file_hash
+from jax_aero.base.references import file_hash
 from jax_aero.results.identity import CRATE, VERSIONS, computed_by
 
 FOLDER, DIGESTS = Path(__file__).parent / "flights", Path(__file__).parent / "flights.json"

@@ -15,7 +15,7 @@ import pytest
 from msgspec import structs
 
 from jax_aero import rust
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import exp_so3, rotation_from_rpy
 from jax_aero.control import tick

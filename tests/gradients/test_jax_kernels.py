@@ -12,7 +12,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
-from jax_aero.base.typed import aero_config, scenario_config
+from jax_aero.base.typed_config import aero_config, scenario_config
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.jets import jet_dynamics
 from jax_aero.body.kinematics import generalised_force, kinematics, velocities_at

@@ -22,7 +22,7 @@ import pytest
 from experiments.tools import schema
 from jax_aero import cli, rust
 from jax_aero.base import places, tables
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.figures.catalogue import FIGURES
 from jax_aero.refusals import refused
 from jax_aero.sweep import spec

@@ -13,7 +13,7 @@ import numpy as np
 
 from jax_aero.aero import LinkConventions, aero_model
 from jax_aero.aero.link_forces import link_forces, wrench_about
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.dynamics import dynamics
 from jax_aero.body.jets import acceleration_range, engines
 from jax_aero.body.kinematics import kinematics

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from jax_aero import rust
-from jax_aero.base import typed
+from jax_aero.base import typed_config
 from jax_aero.base.terminal import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -74,4 +74,4 @@ def to_written(table):
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_the_typed_view_has_every_key(path):
     config = rust.load_config(path)
-    assert to_written(msgspec.to_builtins(typed.scenario_config(config))) == config
+    assert to_written(msgspec.to_builtins(typed_config.scenario_config(config))) == config

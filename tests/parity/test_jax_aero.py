@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from jax_aero import rust
 from jax_aero.aero import LinksInAir, aero_model
 from jax_aero.aero.pchip import interpolate, pchip
-from jax_aero.base.typed import aero_config
+from jax_aero.base.typed_config import aero_config
 from jax_aero.body.robot import load_robot
 
 pytestmark = pytest.mark.usefixtures("x64")

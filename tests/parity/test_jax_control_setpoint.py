@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.control.law import mission, recorded, setpoint
 from jax_aero.sim.plant import n_ticks
 from tests.measurements import measured

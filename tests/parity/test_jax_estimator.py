@@ -9,7 +9,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import Measurement
 from jax_aero.control.estimate import estimator

@@ -11,7 +11,7 @@ import pytest
 
 from jax_aero import rust, sim
 from jax_aero.base import places, tables
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.verify.flight import NOT_COMPARED
 
 DETECTORS = ("channels", "fault_detection")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control.tick import MomentumController

@@ -11,7 +11,7 @@ import pytest
 
 from jax_aero import rust, sim
 from jax_aero.aero import Axisymmetric, LinkConventions, link_forces
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import load_robot

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import tick
 from jax_aero.control.measurement import Measurement

@@ -13,7 +13,7 @@ from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.aero.network import init_network
 from jax_aero.aero.network_card import save_network
-from jax_aero.base.typed import aero_config
+from jax_aero.base.typed_config import aero_config
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import load_robot
 from jax_aero.types import State

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jax_aero import rust
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.control.measurement import Reading
 from jax_aero.sim.sensors import read, sensors
 from jax_aero.verify.flight import states_of

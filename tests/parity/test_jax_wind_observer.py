@@ -9,7 +9,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.dynamics import dynamics
 from jax_aero.body.kinematics import frame_poses, kinematics
 from jax_aero.body.robot import load_robot

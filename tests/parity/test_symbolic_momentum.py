@@ -12,7 +12,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.dynamics import dynamics
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import load_robot as twin_robot

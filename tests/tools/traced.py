@@ -16,7 +16,7 @@ from jaxtyping import Float, jaxtyped
 
 from tests.shapes import states_shape  # isort: skip - before the first import of jax_aero
 from jax_aero import aero, rust, sim, types
-from jax_aero.base import typed
+from jax_aero.base import typed_config
 from jax_aero.body import robot
 from jax_aero.body.kinematics import kinematics
 from jax_aero.control import qp
@@ -89,7 +89,7 @@ class Checked:
 
 def trace_flight() -> None:
     """Trace a tick of a batch of flights, and a gradient through a QP."""
-    config = typed.scenario_config(rust.load_config("test2_sensors", EVERYTHING))
+    config = typed_config.scenario_config(rust.load_config("test2_sensors", EVERYTHING))
     model = robot.load_robot(config.robot)
     scenario, state = sim.prepare(config, model, controller=Checked(momentum_controller(config, model)))
 
@@ -110,7 +110,7 @@ def trace_aerodynamics() -> None:
     model = robot.load_robot(CONFIGS / "robot" / "ironcub_mk1.toml")
     state = types.State(np.zeros(3), np.eye(3), np.zeros(model.n_joints), np.ones(model.n_velocities))
     for name in ("off", "axisymmetric_corrected", "sphere_cylinder", "network"):
-        chosen = aero.aero_model(typed.aero_config(rust.load_aero(name)), model)
+        chosen = aero.aero_model(typed_config.aero_config(rust.load_aero(name)), model)
 
         def wrench(state: types.State, chosen: aero.AeroModel = chosen) -> Any:
             kin = kinematics(model, state)

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network
-from jax_aero.base import files, places, plain, tables
+from jax_aero.base import files, places, plain_values, tables
 from jax_aero.base.terminal import INTERRUPTED, Refused
 from jax_aero.body.robot import load_robot
 from jax_aero.cli import main
@@ -279,7 +279,7 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     table = tables.read(places.CONFIGS / "training" / "plain.toml")
     table |= {"robot": str(places.ROBOT)}
     table["training"] |= {"epochs": 2, "batch": 32, "validate_every": 1}
-    base.write_text(plain.toml(table))
+    base.write_text(plain_values.toml(table))
     search = tmp_path / "small.toml"
     search.write_text(
         'base = "base.toml"\ntrials = 2\nseed = 1\nfold_seed = 0\nfolds = 3\nfolds_run = 1\n[space]\n'

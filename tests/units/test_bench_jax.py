@@ -7,7 +7,7 @@ import pytest
 
 from experiments.tools import bench_jax
 from jax_aero import rust, sim
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from jax_aero import cli, rust
-from jax_aero.base import places, terminal, typed
+from jax_aero.base import places, terminal, typed_config
 from jax_aero.base.result import ending
 from jax_aero.commands.fly import main
 from jax_aero.results import flight as runner
@@ -233,10 +233,10 @@ def test_a_recording_outside_the_repository_goes_with_its_flight(tmp_path):
     there.parent.mkdir()
     there.write_bytes(Path(config["mission"]["file"]).read_bytes())
     config["mission"]["file"] = str(there)
-    typed.copy_outside(config, tmp_path)
+    typed_config.copy_outside(config, tmp_path)
     stored = manifest.make_portable(config)
     assert stored["mission"]["file"] == "(outside the repository)/min_time.csv"
     there.unlink()
-    placed = typed.make_paths_absolute(stored, tmp_path)
+    placed = typed_config.make_paths_absolute(stored, tmp_path)
     assert placed["mission"]["file"] == str(tmp_path / "files" / "min_time.csv")
     assert placed["robot"] == config["robot"]

@@ -13,7 +13,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import Axisymmetric, NoAero
-from jax_aero.base import places, plain, tables
+from jax_aero.base import places, plain_values, tables
 from jax_aero.base.places import CONFIGS
 from jax_aero.body.dynamics import dynamics
 from jax_aero.body.kinematics import kinematics_at_rest
@@ -333,7 +333,7 @@ def test_a_root_without_a_mass_leaves_the_offset_to_its_heaviest_link(tmp_path):
     )
     (source / "plate.urdf").write_text(urdf)
     table = {"base": str(platform), "urdf": "plate.urdf", "base_link": "frame"}
-    (source / "plate.toml").write_text(plain.toml(table) + "\n")
+    (source / "plate.toml").write_text(plain_values.toml(table) + "\n")
     robot = load_robot(source / "plate.toml")
     numbers = drawn(robot, "com")[1]
     model = identify.Model(robot, NoAero(), np.zeros(0))

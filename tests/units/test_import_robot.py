@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.base import places, plain
+from jax_aero.base import places, plain_values
 from jax_aero.base.result import FlightResult
 from jax_aero.base.terminal import Refused
 from jax_aero.body import mesh
@@ -304,7 +304,7 @@ def test_guesses_are_printed_and_marked(limit, guesses, tmp_path):
     warned, result = imported(raft(tmp_path, (LIMIT, limit)), tmp_path / "out")
     reason = "of joint `hinge` is a guess, marked (?): the URDF says nothing usable"
     found = [warning for warning in warned if "is a guess" in warning]
-    assert found == [f"{key} = {plain.toml_value(value)} {reason}" for key, value in guesses.items()]
+    assert found == [f"{key} = {plain_values.toml_value(value)} {reason}" for key, value in guesses.items()]
     assert len(warned) - len(found) == ('upper="-1"' in limit)  # the range is said to be empty
     text = (result.folder / "robot.toml").read_text()
     (entry,) = tomllib.loads(text)["joint_groups"][0]["joints"]

@@ -13,7 +13,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.base.keys import set_key
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import ancestors_of, levels_of, load_robot
 from jax_aero.config import AxisymmetricAeroConfig
 from jax_aero.control.tick import momentum_controller

@@ -24,9 +24,9 @@ from experiments.report.measures import results as measures
 from experiments.report.page import inline, literal, table, to_html
 from experiments.report.results import ANOTHER, Flight, Results
 from jax_aero import rust
-from jax_aero.base import places, plain, tables
-from jax_aero.base.named import file_hash
+from jax_aero.base import places, plain_values, tables
 from jax_aero.base.places import ROBOT
+from jax_aero.base.references import file_hash
 from jax_aero.cfd.settings import FlowConfig
 from jax_aero.cli import main
 from jax_aero.data import battery
@@ -231,7 +231,9 @@ def test_a_study_of_another_flight_or_file_is_outdated():
 
 
 def test_a_study_of_another_file_of_its_name_is_outdated():
-    config = manifest.make_portable(plain.to_builtins(tables.load(places.find("cfd_flow", "flight30"), FlowConfig)))
+    config = manifest.make_portable(
+        plain_values.to_builtins(tables.load(places.find("cfd_flow", "flight30"), FlowConfig))
+    )
     document = {"config": config, "sources": {"flights": {}, "files": {}}, **CODE}
     assert outdated.study("cfd_flow", "flight30", document) == ""
     config["settings"]["air"]["speed"] = 10.0

@@ -17,7 +17,7 @@ from jax_aero import rust, sim
 from jax_aero.aero import WeightedModel
 from jax_aero.base import keys
 from jax_aero.base.places import HOME, find
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.jets import JetsState
 from jax_aero.body.kinematics import frame_poses, generalised_force, kinematics

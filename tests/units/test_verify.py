@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, verify
-from jax_aero.base.typed import scenario_config
+from jax_aero.base.typed_config import scenario_config
 from jax_aero.commands import verify as cli
 from jax_aero.refusals import refused
 from jax_aero.verify import compare, everything, flight, library, lines, reach

@@ -17,7 +17,7 @@ import pytest
 
 from jax_aero import __main__ as commands
 from jax_aero import rust
-from jax_aero.base import typed
+from jax_aero.base import typed_config
 from jax_aero.view import recording
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
@@ -386,7 +386,7 @@ def test_a_flight_of_the_page_is_the_same_here(visit):
         solid.advance(solid.n_ticks + 1);
         return [solid.config, [...solid.series("com_position")]];
     }""")
-    again = rust.fly(typed.make_paths_absolute(config))
+    again = rust.fly(typed_config.make_paths_absolute(config))
     np.testing.assert_allclose(np.reshape(position, (-1, 3)), again["com_position"], rtol=0, atol=1e-9)
 
 

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from jax_aero import rust
-from jax_aero.base import keys, places, plain, tables
+from jax_aero.base import keys, places, plain_values, tables
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotation_from_rpy, rpy_from_rotation
 from jax_aero.robot import flight, scenario
@@ -102,7 +102,7 @@ def write(design: Mapping[str, float], folder: Path, name: str = "robot") -> Pat
             areas[family] = {key: (factors[family] * np.array(area)).tolist() for key, area in areas[family].items()}
     tree.write(folder / f"{name}.urdf", encoding="utf-8", xml_declaration=True)
     path = folder / f"{name}.toml"
-    path.write_text(plain.toml(table | {"urdf": f"{name}.urdf"}) + "\n", encoding="utf-8")
+    path.write_text(plain_values.toml(table | {"urdf": f"{name}.urdf"}) + "\n", encoding="utf-8")
     return path
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from experiments.studies.design.campaign import POSITION, ROTATION, Row
 from experiments.studies.design.robots import find, inertial, numbers, set_inertial, set_numbers
 from jax_aero import rust
-from jax_aero.base import plain, tables
+from jax_aero.base import plain_values, tables
 from jax_aero.body.spatial import rotation_from_rpy, rpy_from_rotation
 from jax_aero.sim import FlightState, Scenario, begin, prepare, rollout
 from jax_aero.sim.plant import COMPILER_OPTIONS
@@ -134,7 +134,7 @@ def change_files(source: Path, robot: rust.Robot, folder: Path, kind: str, index
             set_numbers(origin, "xyz", numbers(origin, "xyz") + shift)
     path = folder / "robot.toml"
     tree.write(path.with_suffix(".urdf"))
-    path.write_text(plain.toml(table | {"urdf": "robot.urdf"}), encoding="utf-8")
+    path.write_text(plain_values.toml(table | {"urdf": "robot.urdf"}), encoding="utf-8")
     return path
 
 

@@ -19,7 +19,7 @@ from experiments.studies.design import campaign, robots, sensitivity
 from experiments.studies.design.campaign import AGAIN, FIGURES, FLIGHTS, Job, Row
 from experiments.studies.design.robots import RANGES, Array
 from jax_aero import rust
-from jax_aero.base import places, plain, run_file, tables
+from jax_aero.base import places, plain_values, run_file, tables
 from jax_aero.base.terminal import Refused
 from jax_aero.results.identity import Identity
 from jax_aero.results.study import Findings, Study
@@ -87,7 +87,7 @@ def sensitivities(asked: DesignConfig, _: Work) -> Findings:
 
 def fly(asked: DesignConfig, work: Work, jobs: dict[int, Job]) -> list[Row]:
     """Return the rows of jobs; those flown already are not flown again."""
-    flown = plain.to_builtins([{**job._asdict(), "designs": job.designs.tolist()} for job in jobs.values()])
+    flown = plain_values.to_builtins([{**job._asdict(), "designs": job.designs.tolist()} for job in jobs.values()])
     base = rust.config_digest(rust.load_config(campaign.BASE))
     asks, files = {"flown": flown, "base": base}, [robots.MK3, campaign.PERTURBATION]
     done = campaign.fly(jobs, work.narrowed(Identity.of(asks, files)), asked.processes)
@@ -245,7 +245,7 @@ def confirmed(asked: DesignConfig, work: Work) -> Findings:
             written = robots.write(dict(zip(RANGES, few[index].tolist(), strict=True)), Path(folder), name)
             own = changed(robots.fit(written, base)[1], base) | {"base": f"{campaign.BASE}.toml"}
             texts |= {file.name: file.read_bytes() for file in (written, written.with_suffix(".urdf"))}
-            texts[f"fly_{name}.toml"] = plain.toml(own | {"robot": f"../robot/{written.name}"})
+            texts[f"fly_{name}.toml"] = plain_values.toml(own | {"robot": f"../robot/{written.name}"})
     return Findings("The best designs again", data, summary, flights=_base(), files=[source, robots.MK3], texts=texts)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.base import plain, tables
+from jax_aero.base import plain_values, tables
 from jax_aero.identify import excite
 from jax_aero.results.study import find
 from jax_aero.sweep.perturbation import Perturbation
@@ -111,7 +111,7 @@ def write_outside(source: Path, folder: Path, rng: np.random.Generator) -> Path:
     ET.SubElement(joint, "origin", xyz=_text(rng.uniform(*LOAD_PLACE)))
     ET.ElementTree(tree).write(folder / "outside.urdf", encoding="utf-8", xml_declaration=True)
     changed = {"base": str(source.resolve()), "urdf": "outside.urdf"}
-    (folder / "outside.toml").write_text(plain.toml(changed) + "\n", encoding="utf-8")
+    (folder / "outside.toml").write_text(plain_values.toml(changed) + "\n", encoding="utf-8")
     return folder / "outside.toml"
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from experiments.studies.policy import ppo
 from jax_aero import rust
-from jax_aero.base import plain, tables
+from jax_aero.base import plain_values, tables
 from jax_aero.base.cards import card_text
 from jax_aero.base.features import Aim
 from jax_aero.base.terminal import ConfigError
@@ -164,7 +164,7 @@ def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
             description=f"{config.title}: {task.experiment}, seed {seed}.",
             training={
                 "task": dataclasses.asdict(task),
-                "settings": plain.to_builtins(config.gradients or config.ppo),
+                "settings": plain_values.to_builtins(config.gradients or config.ppo),
                 "seed": seed,
                 "flight": rust.config_digest(flight),
                 **figures,
@@ -204,7 +204,7 @@ def _train(
         minutes = sum(row.processor for row in rows) / 60.0
         judged[:] = [one for one in judged if one.step < step]
         judged.append(Judged(step=step, minutes=minutes, reward=earned.mean(), survived=survived.mean()))
-        work.write_json(job, [plain.to_builtins(one) for one in judged])
+        work.write_json(job, [plain_values.to_builtins(one) for one in judged])
         print(f"seed {seed}, step {step}, {minutes:.1f} min: reward {earned.mean():.3f}, {survived.mean():.0%} survive")
 
     run = trainer.train(seed, checkpoint=work.path(f"seed {seed}"), digest=work.of, on_step=on_step)
