@@ -199,6 +199,7 @@ bench: $(PACKAGES) ## measure every part of a tick, the crate beside Pinocchio, 
 	$(BIN)/python -m experiments.tools.bench
 	$(BIN)/python -m experiments.tools.bench_jax
 	taskset -c 0 $(BIN)/python -m experiments.tools.bench_train
+	$(BIN)/python -m experiments.tools.bench_gpu
 
 figures: $(PACKAGES) ## fly the demo's flights, and draw every figure whose results are there
 	$(BIN)/jax-aero fly $(DEMO) --overwrite

@@ -60,7 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(listing(found))
     slower = [] if given.store else below(found)
     if given.store:
-        store(found)
+        command = "taskset -c 0 python -m experiments.tools.bench_train --store"
+        store(NAME, TITLE, manifest.device()["cpu"], command, found)
     print("\n".join(f"{name}: more than a tenth below what is stored" for name in slower))
     return int(bool(slower))
 
@@ -135,21 +136,25 @@ def below(found: Mapping[str, Mapping[str, float]]) -> list[str]:
     return [name for name in NETWORKS if found[name][SHARE] < SLACK * stored[name][SHARE]]
 
 
-def store(found: Mapping[str, Mapping[str, float]]) -> None:
-    """Keep what was measured."""
+def store(name: str, title: str, about: str, command: str, found: Mapping[str, Mapping[str, float]]) -> None:
+    """Keep what a benchmark found."""
     git = manifest.git_state()
     document = kept.Kept(
-        name=NAME,
-        result=f"bench/{NAME}",
-        title=TITLE,
-        about=manifest.device()["cpu"],
-        command="taskset -c 0 python -m experiments.tools.bench_train --store",
+        name=name,
+        result=f"bench/{name}",
+        title=title,
+        about=about,
+        command=command,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         commit=None if git["dirty"] else git["commit"],
         digest="",
-        summary={case: {name: float(f"{value:.4g}") for name, value in of.items()} for case, of in found.items()},
+        summary={case: {key: _rounded(value) for key, value in of.items()} for case, of in found.items()},
     )
-    write_text(kept.FOLDER / f"{NAME}.json", kept.to_json(document))
+    write_text(kept.FOLDER / f"{name}.json", kept.to_json(document))
+
+
+def _rounded(value: float) -> float:
+    return value if isinstance(value, int) else float(f"{value:.4g}")
 
 
 if __name__ == "__main__":
