@@ -90,6 +90,7 @@ class ControllerState:
     def with_posture_control(
         self, posture: _Array, inertia_0_b: _Array, velocity_error_integral: _Array
     ) -> ControllerState: ...
+    def descent_plan(self) -> tuple[float, _Array] | None: ...
 
 @final
 class Controller:

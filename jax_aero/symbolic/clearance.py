@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -74,6 +75,15 @@ def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
         links = {link.name: around(tree, link) for link in robot.aero_links if link.frame != jet.frame}
         found += [Pair(jet.name, name, plume.distance(capsule)) for name, capsule in (links | soles).items()]
     return found
+
+
+def kept_apart(tree: Kinematics, clearance: Mapping[str, Any]) -> SX:
+    """Return the distances [m] of `mpc.clearance`, of exhausts and links from links and soles."""
+    capsules = {link.name: around(tree, link) for link in tree.robot.aero_links}
+    capsules |= {sole: under(tree, sole) for sole in tree.robot.soles}
+    first = [exhaust(tree, jet, clearance["exhaust"]) for jet in tree.robot.jets]
+    first += [capsules[name] for name in clearance["links"]]
+    return ca.vertcat(*(one.distance(capsules[name]) for one in first for name in clearance["apart_from"]))
 
 
 def segment_distance(first: tuple[SX, SX], second: tuple[SX, SX]) -> SX:

@@ -10,7 +10,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot
-from jax_aero.symbolic.clearance import around, exhaust, under
+from jax_aero.symbolic.clearance import kept_apart
 from jax_aero.symbolic.kinematics import Kinematics
 from tests.parity.fitted import fitted
 
@@ -100,12 +100,7 @@ def test_distances_and_their_derivatives(robot_name, random_states, agree):
     for weights in ("weights", "descent"):
         mpc[weights]["posture"] = dict.fromkeys(groups, 1.0)
     tree = Kinematics(robot)
-    named = {link.name: around(tree, link) for link in robot.aero_links}
-    named |= {sole: under(tree, sole) for sole in robot.soles}
-    first = [exhaust(tree, jet, settings["exhaust"]) for jet in robot.jets]
-    first += [named[name] for name in settings["links"]]
-    second = [named[name] for name in settings["apart_from"]]
-    (distance,) = tree.evaluate_at_base(ca.vertcat(*(one.distance(other) for one in first for other in second)))
+    (distance,) = tree.evaluate_at_base(kept_apart(tree, settings))
     at = [tree.base_position, tree.base_rotation, tree.joint_position]
     expected = ca.Function("expected", at, [distance, ca.jacobian(distance, tree.joint_position)])
     controller = rust.Controller(config)

@@ -15,6 +15,7 @@ use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
 use flight_core::control::mpc::horizon::{Horizon, Target};
 use flight_core::control::mpc::model::Linearised;
+use flight_core::control::mpc::nonlinear::NonlinearPlan;
 use flight_core::control::{ControllerState as State, Estimate, Given, Measurement, Preview, Terms};
 use flight_io::{load_aero, load_mission, load_robot};
 use flight_sim::onboard;
@@ -69,6 +70,12 @@ impl ControllerState {
         let inertia = matrix3("inertia_0_b", &inertia_0_b)?;
         let state = self.state.clone().with_posture_control(posture, inertia, DVector::from_vec(integral));
         state.map(|state| Self { state }).map_err(value_error)
+    }
+
+    /// Cost of a descent's plan, and its inputs (knots × inputs), in one row; `None` without a plan.
+    fn descent_plan<'py>(&self, py: Python<'py>) -> PyResult<Option<(f64, Output<'py>)>> {
+        let plan = self.state.descent_plan().and_then(NonlinearPlan::motion);
+        plan.map(|(cost, inputs)| Ok((cost, vector(py, inputs)?))).transpose()
     }
 
     /// Whether all numbers are equal; a NaN, such as that of a missing measurement, is not equal to itself.

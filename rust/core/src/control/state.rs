@@ -10,6 +10,7 @@ use super::law::contact::ContactState;
 use super::law::setpoint::SetpointState;
 use super::measure::channels::ChannelsState;
 use super::measure::measurement::Estimate;
+use super::mpc::nonlinear::NonlinearPlan;
 use super::mpc::plan::Plan;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
@@ -134,6 +135,12 @@ impl ControllerState {
     #[must_use]
     pub fn velocity_error_integral(&self) -> &DVector<f64> {
         &self.velocity_error_integral
+    }
+
+    /// The nonlinear plan of a descent, where it is configured.
+    #[must_use]
+    pub fn descent_plan(&self) -> Option<&NonlinearPlan> {
+        self.plan.nonlinear.as_ref()
     }
 
     /// Wrench that a residual sees \[N, N m\]; zero without a residual.

@@ -315,6 +315,14 @@ impl NonlinearPlan {
         self.since = None;
     }
 
+    /// Cost of the motion about which its feedback was found, and the motion's inputs by knot; `None` without a plan.
+    #[must_use]
+    pub fn motion(&self) -> Option<(f64, &[f64])> {
+        let Motion { knots, states, inputs } = &self.motion;
+        let of_knot = inputs.len() / (states.len() - 1);
+        self.since.map(|_| (self.cost, &inputs[..knots * of_knot]))
+    }
+
     fn ends_well(&self) -> bool {
         let end = &self.motion.states[self.motion.knots];
         end.velocity.z > -END_DOWNWARDS && end.rotation[(2, 2)] > END_UPRIGHT
