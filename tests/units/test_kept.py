@@ -226,7 +226,6 @@ TO_FLY = {
     "robot_added",
     "robot_descent_chest",
     "robot_drives",
-    "robot_ground",
     "robot_height_errors",
     "robot_margins",
     "robot_missions",
