@@ -172,7 +172,8 @@ def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
         )
         texts |= {f"seed_{seed}.json": card_text(card), f"seed_{seed}.safetensors": weights}
     dataset = to_dataset(config, [of for _, of in runs], earned, survived)
-    return Findings(config.title, dataset, summary, flights={task.experiment: rust.load_config(task.experiment)}, texts=texts)
+    shipped = {task.experiment: rust.load_config(task.experiment)}
+    return Findings(config.title, dataset, summary, flights=shipped, texts=texts)
 
 
 def judge_of(config: PolicyConfig) -> Judge:
