@@ -85,8 +85,8 @@ def test_the_figure_shows_flights(study, tmp_path):
     folder.mkdir(parents=True)
     write_netcdf(folder / "run.nc", study)
     figure, hashes = FIGURES["along"].draw_from_results(tmp_path / "flight")
-    # A cross where the one was lost, none where the other was shorter; of lever arms as published the line at zero.
-    assert [len(axes.lines) for axes in figure.axes] == [4, 5, 1]
+    # A cross where the one was lost and in the legend, none where the other was shorter; as published the line at zero.
+    assert [len(axes.lines) for axes in figure.axes] == [5, 5, 1]
     assert hashes == {"flights": "0"}
 
 

@@ -391,7 +391,8 @@ def test_a_claim_is_refuted_by_flights_that_are_all_lost_and_confirmed_by_those_
 ENDING = {"announced_losses", "announced_losses_pairs", "engines_lost", "mission_loss", "mission_loss_paper"}
 ENDING |= {f"descent_{way}" for way in ("accelerating", "braking", "chest", "cruise", "leaning")}
 ENDING |= {"false_alarms_robot", "false_alarms_sensors"}
-ENDING |= {"ground_1", "ground_2", "ground_5", "height_errors", "robot_take_off_weak", "settings_recommended"}
+ENDING |= {"ground_1", "ground_2", "ground_5", "height_errors", "robot_take_off_weak"}
+ENDING |= {"learnt_engines", "settings_most_friction", "settings_recommended"}
 ENDING |= {
     "unmeasured_healthy",
     *(f"unmeasured_{way}" for way in ("accelerating", "braking", "cruise", "hover", "hover_2")),
