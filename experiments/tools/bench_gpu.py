@@ -255,17 +255,14 @@ def _bytes(kind: str, dims: str, passes: int | None) -> int:
     return -(-bits * int(np.prod(numbers)) // 8)
 
 
-def compile_for_h200(run: Callable[..., Any], arguments: Any) -> tuple[Any, bool]:
-    """Return a program compiled for an H200, of arguments of these shapes, and whether XLA's defaults compile it."""
+def compile_for_h200(run: Callable[..., Any], arguments: Any) -> Any:
+    """Return a program compiled for an H200, of arguments of these shapes, as XLA's defaults do."""
     topology = topologies.get_topology_desc(platform="cuda", topology_name="h200", target_config=H200, topology="1x1x1")
     mesh = jax.sharding.Mesh(np.array(topology.devices), ("flights",))
     place = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())  # type: ignore[no-untyped-call]
     lowered = jax.jit(run, in_shardings=place, out_shardings=place).lower(*arguments)
-    options: dict[str, Any] = {"xla_backend_optimization_level": 0}  # of what is in a kernel, which nobody runs
-    try:
-        return lowered.compile(compiler_options=options), True
-    except jax.errors.JaxRuntimeError:  # XLA's Triton compiles not every product
-        return lowered.compile(compiler_options=options | {"xla_gpu_enable_triton_gemm": False}), False
+    # The backend optimises what is in a kernel, which nobody runs.
+    return lowered.compile(compiler_options={"xla_backend_optimization_level": 0})
 
 
 def passes_of(robots: int) -> Figures:
@@ -302,7 +299,7 @@ def _of_program(name: str, program: Callable[[int], Program], passes: Figures) -
     batch = OF_GRADIENT if name == GRADIENT else BATCH
     started = time.perf_counter()
     run, make = program(batch)
-    compiled, has_defaults = compile_for_h200(run, jax.eval_shape(make))
+    compiled = compile_for_h200(run, jax.eval_shape(make))
     workspace = compiled.memory_analysis().temp_size_in_bytes
     loops = [loop for loop in read(compiled.as_text()).inner if loop.passes == TICKS]
     names = [f"{name}, {way}" for way in ("forward", "backward")] if len(loops) > 1 else [name]
@@ -318,7 +315,6 @@ def _of_program(name: str, program: Callable[[int], Program], passes: Figures) -
     found[names[0]] |= {
         "robots": batch,
         "workspace of a tick [kB a robot]": workspace / batch / TICKS / 1e3,
-        "XLA's defaults compile it": float(has_defaults),
     }
     print(f"{name}: compiled in {time.perf_counter() - started:.0f} s", flush=True)
     return found

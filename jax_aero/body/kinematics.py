@@ -54,9 +54,13 @@ def move(state: State, velocity: Float[Array, " N"], step: Float[Array, ""]) -> 
     )
 
 
-def carriers(robot: RobotModel, bodies: tuple[int, ...], dtype: np.dtype[np.generic] | type) -> Float[Array, "k n"]:
-    """Return the static mask of whether joint `j` moves the body of point `k`."""
-    return jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], dtype)
+def carried(robot: RobotModel, bodies: tuple[int, ...], of_points: Float[Array, "k d"]) -> Float[Array, "n d"]:
+    """Return, for each joint, the sum of what is given for points on `bodies` over those that it moves.
+
+    Not a product of matrices, since XLA's compiler for GPUs refuses its transpose.
+    """
+    moves = jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], of_points.dtype)
+    return jnp.sum(moves[:, :, None] * of_points[:, None], axis=0)
 
 
 def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -> Array:
@@ -88,11 +92,10 @@ def generalised_force(
     base origin; a prismatic one `a · Σ f`.
     """
     origin = kin.body_positions[:1]
-    moves = carriers(robot, bodies, forces.dtype)
     moments = cross(points - origin, forces) + couples
-    carried = moves.T @ jnp.concatenate([forces, moments], axis=1)
-    about_joint = carried[:, 3:] - cross(kin.body_positions[1:] - origin, carried[:, :3])
-    joints = jnp.sum(kin.joint_angular * about_joint + kin.joint_linear * carried[:, :3], axis=1)
+    summed = carried(robot, bodies, jnp.concatenate([forces, moments], axis=1))
+    about_joint = summed[:, 3:] - cross(kin.body_positions[1:] - origin, summed[:, :3])
+    joints = jnp.sum(kin.joint_angular * about_joint + kin.joint_linear * summed[:, :3], axis=1)
     return jnp.concatenate([forces.sum(0), moments.sum(0), joints])
 
 

@@ -32,9 +32,6 @@ from jax_aero.types import Array
 
 Kept = TypeVar("Kept")
 
-CHECKPOINT_EVERY = 100
-"""Ticks between the states that reverse mode stores; intermediate states are recomputed."""
-
 
 def keep_row(row: FlightRow) -> FlightRow:
     """Return the whole row, for `keep` of `rollout`."""
@@ -47,47 +44,28 @@ def rollout(
     n_ticks: int,
     keep: Callable[[FlightRow], Kept],
     first_tick: Int[Array, ""] | int = 0,
-    checkpoint_every: int = CHECKPOINT_EVERY,
+    *,
+    recompute: bool = True,
 ) -> tuple[FlightState, Kept]:
     """Fly `n_ticks` ticks; return the final state and, for every tick, the part of the row that `keep` returns.
 
-    Pure, for `jit`, `vmap` and `grad`. Reverse mode stores one state per `checkpoint_every` ticks, the results of
-    `keep`, and the intermediate values of `checkpoint_every` ticks at a time: 0.13 MB per tick and flight for TEST1.
-    A rollout of at most `checkpoint_every` ticks computes nothing twice, and its gradient compiles fastest; that of
-    a whole multiple comes next.
+    Pure, for `jit`, `vmap` and `grad`. Reverse mode stores a state and the results of `keep` for each tick and computes
+    the tick again: 5 kB a tick and flight for TEST2. Without `recompute` it stores all values, 150 kB.
 
     Raises
     ------
     ValueError
-        For an `n_ticks` that is negative or no integer, and for such a `checkpoint_every` or one of zero.
+        For an `n_ticks` that is negative or no integer.
     """
-    given: tuple[tuple[str, Any, int], ...] = (("n_ticks", n_ticks, 0), ("checkpoint_every", checkpoint_every, 1))
-    for name, value, least in given:
-        if not isinstance(value, int | np.integer) or value < least:
-            raise ValueError(f"`{name}` is {value}; expected an integer ≥ {least}")
+    if not isinstance(n_ticks, int | np.integer) or n_ticks < 0:
+        raise ValueError(f"`n_ticks` is {n_ticks}; expected an integer ≥ 0")
 
     def fly_tick(state: FlightState, tick: Array) -> tuple[FlightState, Kept]:
         state, row = step(scenario, state, tick)
         return state, keep(row)
 
-    def fly_ticks(state: FlightState, ticks: Array) -> tuple[FlightState, Kept]:
-        return jax.lax.scan(fly_tick, state, ticks)
-
     ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
-    # Reverse mode begins with the last ticks: recomputing those would save no memory. A rollout that consists of
-    # nothing else compiles in two thirds of the time.
-    whole = n_ticks // checkpoint_every if n_ticks > checkpoint_every else 0
-    parts: list[Kept] = []
-    if whole:
-        chunks = ticks[: whole * checkpoint_every].reshape(whole, checkpoint_every)
-        state, rows = jax.lax.scan(jax.checkpoint(fly_ticks, prevent_cse=False), state, chunks)
-        parts.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rows))
-    rest = ticks[whole * checkpoint_every :]
-    if rest.size or not parts:
-        state, rows = fly_ticks(state, rest)
-        parts.append(rows)
-    kept: Kept = jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
-    return state, kept
+    return jax.lax.scan(jax.checkpoint(fly_tick, prevent_cse=False) if recompute else fly_tick, state, ticks)
 
 
 @jax.jit(static_argnames=("n_ticks",), compiler_options=COMPILER_OPTIONS)

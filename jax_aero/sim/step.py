@@ -75,6 +75,7 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     )
 
 
+@jax.default_matmul_precision("highest")  # a GPU rounds factors to ten bits otherwise
 def step(
     scenario: Scenario,
     state: FlightState,

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.aero import wrench_about
-from jax_aero.body.kinematics import carriers, frame_poses
+from jax_aero.body.kinematics import carried, frame_poses
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import cross, rotate, skew, trace
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces
@@ -109,8 +109,8 @@ def _lambda_t(
     base = kin.body_positions[:1]
     moments = cross(points - base, forces) + couples
     total, total_moment = forces.sum(0), moments.sum(0)
-    carried = carriers(robot, robot.jets.bodies, forces.dtype).T @ jnp.concatenate([forces, moments], axis=1)
-    force, moment_about_base = carried[:, :3], carried[:, 3:]
+    summed = carried(robot, robot.jets.bodies, jnp.concatenate([forces, moments], axis=1))
+    force, moment_about_base = summed[:, :3], summed[:, 3:]
     origins = kin.body_positions[1:]
     moment = moment_about_base - cross(origins - base, force)
 
@@ -141,8 +141,8 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
     arms = link.jacobian_points - base
     products = (arms[:, :, None] * link.forces[:, None, :]).reshape(-1, 9)
     sums = jnp.concatenate([link.forces, products], axis=1)
-    carried = carriers(robot, robot.aero_links.bodies, sums.dtype).T @ sums
-    force, about_base = carried[:, :3], carried[:, 3:].reshape(-1, 3, 3)
+    summed = carried(robot, robot.aero_links.bodies, sums)
+    force, about_base = summed[:, :3], summed[:, 3:].reshape(-1, 3, 3)
     origins = kin.body_positions[1:] - base
     p = about_base - origins[:, :, None] * force[:, None, :]
 
