@@ -261,8 +261,8 @@ def compile_for_h200(run: Callable[..., Any], arguments: Any) -> Any:
     mesh = jax.sharding.Mesh(np.array(topology.devices), ("flights",))
     place = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())  # type: ignore[no-untyped-call]
     lowered = jax.jit(run, in_shardings=place, out_shardings=place).lower(*arguments)
-    # The backend optimises what is in a kernel, which nobody runs.
-    return lowered.compile(compiler_options={"xla_backend_optimization_level": 0})
+    options: dict[str, Any] = {"xla_backend_optimization_level": 0}  # of what is in a kernel, which nobody runs
+    return lowered.compile(compiler_options=options)
 
 
 def passes_of(robots: int) -> Figures:

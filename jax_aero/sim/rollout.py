@@ -57,8 +57,9 @@ def rollout(
     ValueError
         For an `n_ticks` that is negative or no integer.
     """
-    if not isinstance(n_ticks, int | np.integer) or n_ticks < 0:
-        raise ValueError(f"`n_ticks` is {n_ticks}; expected an integer ≥ 0")
+    given: Any = n_ticks
+    if not isinstance(given, int | np.integer) or given < 0:
+        raise ValueError(f"`n_ticks` is {given}; expected an integer ≥ 0")
 
     def fly_tick(state: FlightState, tick: Array) -> tuple[FlightState, Kept]:
         state, row = step(scenario, state, tick)

@@ -75,7 +75,6 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     )
 
 
-@jax.default_matmul_precision("highest")  # a GPU rounds factors to ten bits otherwise
 def step(
     scenario: Scenario,
     state: FlightState,
@@ -91,7 +90,14 @@ def step(
         model, of another shape than the robot's.
     """
     check_precision(scenario)
-    plant, tick = scenario.plant, jnp.asarray(tick, jnp.int32)
+    with jax.default_matmul_precision("highest"):  # a GPU rounds factors to ten bits otherwise
+        return _fly(scenario, state, jnp.asarray(tick, jnp.int32), hand)
+
+
+def _fly(
+    scenario: Scenario, state: FlightState, tick: Array, hand: Callable[[Measurement], Measurement]
+) -> tuple[FlightState, FlightRow]:
+    plant = scenario.plant
     time = tick.astype(plant.time_step.dtype) * plant.time_step
     wind = wind_velocity(scenario.wind, time)
     # Both branches of `where` are differentiated, so values beyond the limits must not enter the computation.

@@ -72,7 +72,7 @@ def test_a_tick_takes_the_passes_of_the_slowest_robot(monkeypatch):
         as_text=lambda: PROGRAM,
         memory_analysis=lambda: SimpleNamespace(temp_size_in_bytes=8 * bench.BATCH * bench.TICKS),
     )
-    monkeypatch.setattr(bench, "compile_for_h200", lambda *_: (compiled, True))
+    monkeypatch.setattr(bench, "compile_for_h200", lambda *_: compiled)
     passes = {name: {bench.OWN: 1.0, bench.SLOWEST: 2.5} for name in bench.QPS}
     found = bench._of_program(bench.ENVIRONMENT, lambda _: (None, lambda: ()), passes)[bench.ENVIRONMENT]
     (tick,) = bench.read(PROGRAM).inner
