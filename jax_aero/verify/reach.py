@@ -98,8 +98,9 @@ class _Reach:
         """Return the names of which a change of what is not zero shows nothing, or one of `zeros` beside it."""
         names, unseen, left = list(names), set[str](), list[Change]()
         for name in names:
-            leaf = self.values[self.names[name]] if name in self.names else 0.0
-            if np.size(leaf):
+            if name not in self.names:
+                unseen.add(name)
+            elif np.size(leaf := self.values[self.names[name]]):
                 of_numbers, of_zeros = changes(leaf)
                 if of_numbers is None:
                     unseen.add(name)
