@@ -148,16 +148,13 @@ def test_a_cell_of_the_matrix_counts_balanced_arrivals():
     np.testing.assert_allclose(lean, [[60.0, 5.0]])
 
 
-def test_without_data_the_command_says_what_makes_them(tmp_path):
+def test_points_that_are_not_there_or_cut_short_are_named(tmp_path):
     with pytest.raises(Refused, match="make it with: jax-aero data import-tunnel --clone DIR"):
         tunnel_moments.read(tmp_path / "none.nc")
+    (tmp_path / "tunnel_mk1.nc").write_bytes(b"\x89HDF\r\n\x1a\n cut short")
+    with pytest.raises(Refused, match=r"tunnel_mk1\.nc is damaged .*; remove its folder and make it again"):
+        tunnel_moments.read(tmp_path / "tunnel_mk1.nc")
 
 
 def test_the_figure_shows_models_that_the_study_evaluates():
     assert figure.SHOWN.keys() <= models.MODELS.keys()
-
-
-def test_points_that_are_cut_short_are_named(tmp_path):
-    (tmp_path / "tunnel_mk1.nc").write_bytes(b"\x89HDF\r\n\x1a\n cut short")
-    with pytest.raises(Refused, match=r"tunnel_mk1\.nc is damaged .*; remove its folder and make it again"):
-        tunnel_moments.read(tmp_path / "tunnel_mk1.nc")

@@ -168,20 +168,6 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
     assert (out / "compact.safetensors").read_bytes() == whole.read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"network.baseline": "best"}, "`network.baseline` is"),
-        ({"validation.folds_run": "9"}, "`validation.folds_run` is 9; expected at most 5"),
-        ({"training.noise": "{ colour = 1.0 }"}, '`training.noise` is ["colour"]; expected blocks'),
-    ],
-)
-def test_a_wrong_setting_is_named(data, tmp_path, capsys, change, message):
-    options = [word for key, value in change.items() for word in ("--set", f"{key}={value}")]
-    assert main(["train", "compact", "--dataset", str(data), "--out", str(tmp_path / "x"), *options]) == 2
-    assert message in capsys.readouterr().err
-
-
 def test_without_out_the_folder_names_what_was_set(data, tmp_path, monkeypatch):
     trained = []
     monkeypatch.setattr(command, "RESULTS", tmp_path)
@@ -243,6 +229,9 @@ def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
     ("changes", "options", "message"),
     [
         ({}, ["--write", "weights.safetensors"], "path is 'weights.safetensors'; expected the card's name"),
+        ({"network__baseline": "best"}, [], "`network.baseline` is"),
+        ({"validation__folds_run": "9"}, [], "`validation.folds_run` is 9; expected at most 3"),
+        ({"training__noise": "{ colour = 1.0 }"}, [], '`training.noise` is ["colour"]; expected blocks'),
         ({"validation__folds": "1", "validation__folds_run": "1"}, [], "folds is 1; expected 2 to 6"),
         (
             {"validation__fraction": "1e-9"},
@@ -258,7 +247,9 @@ def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
         ({"validation__fold_seeds": "[2, 2]"}, [], "`validation.fold_seeds` is [2,2]; expected each seed once"),
     ],
 )
-def test_what_cannot_end_is_refused_before_the_training(data, tmp_path, monkeypatch, capsys, changes, options, message):
+def test_what_is_wrong_or_cannot_end_is_refused_before_the_training(
+    data, tmp_path, monkeypatch, capsys, changes, options, message
+):
     monkeypatch.setattr(command, "_train", lambda *_: sys.exit("trained"))
     assert main([*words(data, tmp_path / "out", **changes), *options]) == 2
     assert message in capsys.readouterr().err
@@ -291,8 +282,7 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     assert main([*arguments, "--trials", "1"]) == 0
     assert main(arguments) == 0
     assert "trial 2 of 2" in capsys.readouterr().out
-    with (out / "trials.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
+    rows = table_of(out / "trials.csv")
     assert len(rows) == 2
     document = json.loads((out / "manifest.json").read_text())
     assert document["summary"]["trials"] == 2
@@ -301,8 +291,7 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     assert document["config"]["space"].keys() == {"network.hidden", "training.learning_rate"}
     # One that is not interrupted draws the same, and not twice.
     assert main([*arguments[:-1], str(tmp_path / "whole")]) == 0
-    with (tmp_path / "whole" / "trials.csv").open() as stream:
-        whole = list(csv.DictReader(stream))
+    whole = table_of(tmp_path / "whole" / "trials.csv")
     drawn, again = ([row["training.learning_rate"] for row in found] for found in (rows, whole))
     assert drawn == again
     assert drawn[0] != drawn[1]

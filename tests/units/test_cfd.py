@@ -258,18 +258,33 @@ def test_a_mesh_that_misses_its_level_or_leaks_is_refused(change, area, words):
 
 
 @pytest.mark.parametrize(
-    ("mesh", "words"),
+    ("changes", "words"),
     [
+        # Shells that a thin body slips through.
         (
-            {"surface_level": 5, "shells": [{"distance": 1, "level": 4}]},
-            "`surface_level` is 5; expected one of the levels of `shells`, .4.",
+            {"settings": {"mesh": {"surface_level": 5, "shells": [{"distance": 1, "level": 4}]}}},
+            r"mesh\.surface_level` is 5; expected one of the levels of `shells`, .4.",
         ),
-        ({"base": 1.0}, r"`shells\[0\].distance` is 0.023; expected at least 0.0271 m at level 6"),
+        (
+            {"settings": {"mesh": {"base": 1.0}}},
+            r"mesh\.shells\[0\].distance` is 0.023; expected at least 0.0271 m at level 6",
+        ),
+        ({"winds": {"design": "sobol"}}, "`winds.samples` is 0; expected at least 1"),
+        (
+            {"winds": {"design": "list", "pitch_deg": [90], "yaw_deg": [0, 1]}},
+            r"`winds.yaw_deg` is \[.*\]; expected 1 values",
+        ),
+        (
+            {"winds": {"design": "grid", "pitch_deg": [190], "yaw_deg": [0]}},
+            r"`winds.pitch_deg\[0\]` is 190.0; expected 0 to 180",
+        ),
     ],
 )
-def test_shells_that_a_thin_body_slips_through_are_refused(mesh, words):
+def test_shells_and_winds_that_cannot_be_are_refused(changes, words):
+    winds = {"design": "list", "pitch_deg": [90], "yaw_deg": [0]}
+    table = {"title": "x", "robot": ROBOT, "postures": ["hovering"], "winds": winds}
     with pytest.raises(Refused, match=words):
-        tables.convert(mesh, settings.Mesh, "mesh")
+        tables.convert(table | changes, design.Spec, "x.toml")
 
 
 def history_of(force):
@@ -320,19 +335,6 @@ def test_winds_of_a_sobol_design_fill_the_sphere_and_lie_on_the_grid():
     rounded = design.Winds(design="sobol", samples=16, steps_deg=(10.0, 20.0)).directions(3)
     assert all(pitch % 10 == 0 and yaw % 20 == 0 and 0 <= pitch <= 180 and -180 <= yaw < 180 for pitch, yaw in rounded)
     assert design.Winds(design="sobol", samples=64).directions(1)[0] != winds.directions(0)[0]
-
-
-@pytest.mark.parametrize(
-    ("winds", "words"),
-    [
-        ({"design": "sobol"}, "`winds.samples` is 0; expected at least 1"),
-        ({"design": "list", "pitch_deg": [90], "yaw_deg": [0, 1]}, r"`winds.yaw_deg` is \[.*\]; expected 1 values"),
-        ({"design": "grid", "pitch_deg": [190], "yaw_deg": [0]}, r"`winds.pitch_deg\[0\]` is 190.0; expected 0 to 180"),
-    ],
-)
-def test_winds_that_cannot_be_are_refused(winds, words):
-    with pytest.raises(Refused, match=words):
-        tables.convert({"title": "x", "robot": ROBOT, "postures": ["hovering"], "winds": winds}, design.Spec, "x.toml")
 
 
 @pytest.fixture(scope="module")

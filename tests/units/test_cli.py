@@ -136,6 +136,10 @@ def test_help_names_every_command(capsys):
         (["sweep", "tuned", "--address", "somewhere"], "--address is somewhere; expected --cluster ray beside it"),
         (["robot", "import", "none.urdf", "--jet", "a:1", "--forward", "-x"], "none.urdf: No such file"),
         (["air", "--beta", "-90:nan:10"], "--beta is -90:nan:10; expected an angle, or FROM:TO:STEP"),
+        (["robot", "waypoints", "bix"], "did you mean box"),
+        (["data", "import-cfd", "--out", "nowhere.nc"], "one of the arguments --table --clone"),
+        (["fly", "test1", "--all"], "argument --all: not allowed with argument NAME"),
+        (["sweep", "paper_tests", "--all"], "argument --all: not allowed with argument NAME"),
     ],
 )
 def test_a_wrong_word_is_answered_with_what_was_meant(words, meant, capsys):
@@ -276,13 +280,6 @@ def test_characters_that_the_output_cannot_show_are_replaced(encoding, shown, mo
     monkeypatch.setattr("jax_aero.commands.figures.main", lambda _: print("α m² \udc80"))
     assert cli.main(["figures"]) == 0
     assert stream.buffer.getvalue().decode(encoding) == shown
-
-
-@pytest.mark.parametrize(("command", "name"), [("fly", "test1"), ("sweep", "paper_tests")])
-def test_names_beside_all_are_refused(command, name, capsys):
-    with pytest.raises(SystemExit):
-        cli.main([command, name, "--all"])
-    assert "argument --all: not allowed with argument NAME" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("options", "shown"), [({}, ""), ({"disable": False, "mininterval": 0.0}, "x:  40%")])

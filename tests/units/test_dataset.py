@@ -152,22 +152,15 @@ def test_a_file_gives_back_what_was_written(data, tmp_path):
     assert [entry.name for entry in path.parent.iterdir()] == ["data.nc"]
 
 
-def test_a_dataset_that_is_not_there_is_named_with_the_command_that_writes_it(tmp_path):
+def test_a_file_that_is_not_there_or_is_another_one_is_refused(data, tmp_path):
     with pytest.raises(ValueError, match=r"there is no dataset .*nope\.nc; write it with: jax-aero data import-cfd"):
         ds.load(tmp_path / "nope.nc", ROBOT)
-
-
-def test_a_file_whose_numbers_were_changed_is_refused(data, tmp_path):
     path = tmp_path / "data.nc"
     ds.save(data, path)
     with h5py.File(path, "r+") as file:
         file["force_area_b"][3, 2, 1] += 1e-9
     with pytest.raises(ValueError, match="its numbers give"):
         ds.load(path, ROBOT)
-
-
-def test_a_file_of_another_kind_is_refused(tmp_path):
-    path = tmp_path / "data.nc"
     path.write_text("no NetCDF")
     with pytest.raises(ValueError, match="not a dataset of this project"):
         ds.load(path, ROBOT)

@@ -97,12 +97,6 @@ def test_joint_angles_can_come_from_a_file(tmp_path, capsys):
     assert "column r_shoulder_pitch_deg in line 2 of " in capsys.readouterr().err
 
 
-def test_a_table_or_a_clone_is_needed(capsys):
-    with pytest.raises(SystemExit):
-        import_cfd.main(["--out", "nowhere.nc"])
-    assert "one of the arguments --table --clone" in capsys.readouterr().err
-
-
 def test_a_clone_is_read_through_git(tmp_path, capsys, monkeypatch):
     clone, out = tmp_path / "clone", tmp_path / "out.nc"
     path = clone / import_cfd.TABLE_PATH

@@ -387,21 +387,14 @@ def foreign(tmp_path_factory):
     return folder
 
 
-def test_a_faster_log_of_others_is_read_at_the_ticks(foreign, capsys):
+@pytest.mark.parametrize(("steps", "rounding"), [(1, 1e-9), (5, np.inf)])
+def test_a_faster_log_of_others_replays_at_the_ticks_and_at_those_of_the_torques(foreign, steps, rounding, capsys):
+    """Rows every 2 ms: five in one tick of the law."""
     words = ("replay", foreign / "log.csv", "--experiment", "test2", "--map", foreign / "map.toml")
-    status, out, err = run(capsys, *words)
+    status, out, err = run(capsys, *words, "--set", f"controller.torque.steps={steps}")
     assert status == 1, err
     assert out.startswith("21 ticks")
-    (line,) = (line.split() for line in out.splitlines() if line.startswith("joint_torque"))
-    assert float(line[1]) < 1e-9  # the rounding of degrees and quaternions
-
-
-def test_a_log_at_the_rate_of_the_torques_replays_both_laws(foreign, capsys):
-    """Rows every 2 ms: five ticks of the torques in one of the law."""
-    words = ("replay", foreign / "log.csv", "--experiment", "test2", "--map", foreign / "map.toml")
-    status, out, err = run(capsys, *words, "--set", "controller.torque.steps=5")
-    assert status == 1, err
-    assert out.startswith("21 ticks")
+    assert differences(out)["joint_torque"] < rounding  # of degrees and quaternions
 
 
 def test_messages_of_others_replay(foreign, tmp_path, capsys):
@@ -432,8 +425,7 @@ def test_messages_of_others_replay(foreign, tmp_path, capsys):
     (tmp_path / "map.toml").write_text(mapping)
     status, out, err = run(capsys, "replay", path, "--experiment", "test2", "--map", tmp_path / "map.toml")
     assert status == 1, err
-    (line,) = (line.split() for line in out.splitlines() if line.startswith("joint_torque"))
-    assert float(line[1]) < 1e-6  # before 5 s there is no wind
+    assert differences(out)["joint_torque"] < 1e-6  # before 5 s there is no wind
 
 
 @pytest.mark.parametrize(
@@ -630,6 +622,7 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
         ("replay", tmp_path / "nowhere.csv", *csv): "No such file",
         ("export", result, "--csv", "--out", tmp_path / "a.mcap"): "does not end in .csv",
         ("export", result, "--csv", "--ghost", result, "--out", tmp_path / "a.csv"): "expected --html",
+        ("export", result, "--csv", "--profile", "ros2", "--out", tmp_path / "a.csv"): "expected --mcap",
     }
     for words, expected in refusals.items():
         status, _, err = run(capsys, *words)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jax_aero import __main__ as commands
 from jax_aero import rust
 from jax_aero.view import export, recording, ros2
 from jax_aero.view.topics import wxyz_from_rotation
@@ -32,12 +31,6 @@ def test_numbers_begin_at_multiples_of_their_size():
     time = {"layout": {"dim": [], "data_offset": 0}, "data": [1.0]}  # 4 + 4 + 4 bytes, then a gap of 4
     content = ros2.encode("std_msgs/msg/Float64MultiArray", time)[4:]
     assert content == bytes(8) + b"\1\0\0\0" + bytes(4) + np.array([1.0], "<f8").tobytes()
-
-
-def test_a_profile_belongs_to_mcap(tmp_path, capsys):
-    out = tmp_path / "a.csv"
-    assert commands.main(["export", "test2", "--csv", "--profile", "ros2", "--out", str(out)]) == 2
-    assert "expected --mcap" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

@@ -128,34 +128,32 @@ def test_a_gravity_sweep_gives_the_centre_of_gravity(tmp_path):
     assert deviation.max() < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("nothing", "no balance file"),
-        (gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)]).replace("NAN\n", "NAN\t0\n"), "expected 86"),
-        (gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)]).replace("8.000000E+01", "8,0"), "column `9`: '8,0'"),
-        (gvp([(1, 0.0, 0.0, 12.0, 80.0, (np.nan,) * 6)]), "column `14`: 'NAN'"),
-    ],
-)
-def test_a_file_that_is_none_is_refused_with_its_place(text, message):
-    with pytest.raises(ValueError, match=message):
-        tunnel.read_gvp(text, "TID_0001.GVP")
+POINT, SWEEP = gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)]), "a_nom[deg]\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("read", "text", "message"),
     [
-        ("a_nom[deg]\n", r"t.tara: no gravity sweep; expected .* rows"),
-        ("a_nom[deg]\n" + "\t".join("1" * 10) + "\n\n1\t2\n", r"t.tara, line 4: 2 columns; expected at least 10"),
+        (tunnel.read_gvp, "nothing", "no balance file"),
+        (tunnel.read_gvp, POINT.replace("NAN\n", "NAN\t0\n"), "expected 86"),
+        (tunnel.read_gvp, POINT.replace("8.000000E+01", "8,0"), "column `9`: '8,0'"),
+        (tunnel.read_gvp, gvp([(1, 0.0, 0.0, 12.0, 80.0, (np.nan,) * 6)]), "column `14`: 'NAN'"),
+        (tunnel.read_sweep, SWEEP, "a.txt: no gravity sweep; expected .* rows"),
         (
-            "a_nom[deg]\n" + "\t".join("1" * 9) + "\tnan\n",
-            r"t.tara, line 2, column `9`: 'nan'; expected a finite number",
+            tunnel.read_sweep,
+            SWEEP + "\t".join("1" * 10) + "\n\n1\t2\n",
+            "a.txt, line 4: 2 columns; expected at least 10",
+        ),
+        (
+            tunnel.read_sweep,
+            SWEEP + "\t".join("1" * 9) + "\tnan\n",
+            "a.txt, line 2, column `9`: 'nan'; expected a finite number",
         ),
     ],
 )
-def test_a_gravity_sweep_that_is_incomplete_is_refused(text, message):
+def test_a_file_that_is_none_or_incomplete_is_refused_with_its_place(read, text, message):
     with pytest.raises(ValueError, match=message):
-        tunnel.read_sweep(text, "t.tara")
+        read(text, "a.txt")
 
 
 def test_names_of_tests_may_be_in_lower_case(tmp_path):
