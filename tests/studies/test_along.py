@@ -106,11 +106,8 @@ def test_the_flights_themselves_count(make_flight, robot, tmp_path, monkeypatch)
     assert path in along.compute("flights", along.Along(flights=("mine",))).files
 
 
-@pytest.mark.parametrize(
-    ("change", "words"), [("flights=[]", "`flights` is []; expected one value or more, each once")]
-)
-def test_what_it_cannot_be_made_of_is_named(change, words, capsys, tmp_path, monkeypatch):
+def test_what_it_cannot_be_made_of_is_named(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
-    assert along.main(["--set", change]) == 2
-    assert words in capsys.readouterr().err
+    assert along.main(["--set", "flights=[]"]) == 2
+    assert "`flights` is []; expected one value or more, each once" in capsys.readouterr().err
     assert not any(tmp_path.iterdir())

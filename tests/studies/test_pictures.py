@@ -28,7 +28,8 @@ def test_capsules_are_where_the_robots_file_has_them(agree):
     agree("centre of the base", 0.5 * (starts + ends)[pelvis], links[pelvis]["centre"], 1e-12)
 
 
-def made_up_pictures(tmp_path):
+@pytest.mark.parametrize("name", ["fig5a", "postures", "fig2_setup"])
+def test_pictures_are_shown(name, tmp_path):
     names = list(known_postures(["free_stream", "tunnel"]))
     starts = np.array([[0.0, 0.1, -0.2], [0.0, 0.0, 0.4]])
     study = xr.Dataset(
@@ -45,12 +46,6 @@ def made_up_pictures(tmp_path):
     folder = tmp_path / "pictures" / "paper"
     folder.mkdir(parents=True)
     write_netcdf(folder / "run.nc", study)
-    return names
-
-
-@pytest.mark.parametrize("name", ["fig5a", "postures", "fig2_setup"])
-def test_pictures_are_shown(name, tmp_path):
-    names = made_up_pictures(tmp_path)
     figure, hashes = FIGURES[name].draw_from_results(tmp_path / "flight")
     assert hashes == {"paper": "0"}
     titles = [axes.get_title(loc="center") for axes in figure.axes]

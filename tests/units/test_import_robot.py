@@ -614,7 +614,12 @@ def test_gimbals_hold_the_reaction_torques_of_rotors(tmp_path, moment, measured)
     arrays = rust.Robot(tmp_path / "out" / "robot.toml").arrays()
     assert set(arrays["jets"]["torque_to_thrust"]) == {moment}
 
-    model, data = mujoco_at_start(tmp_path / "out" / "robot.toml", found.hover)
+    path, flown = str(tmp_path / "out" / "robot.toml"), found.hover
+    model = mujoco_model(path)
+    data = mujoco.MjData(model)
+    data.qpos[:3], data.qpos[3:7] = flown["base_position"][0], flown["base_quaternion"][0]
+    data.qpos[order_of(path, tuple(rust.Robot(path).joint_names)).joints] = flown["joint_position"][0]
+    mujoco.mj_fwdPosition(model, data)
     force, about_com = np.zeros(3), np.zeros(3)
     for k, thrust in enumerate(found.hover["thrust"][0], start=1):
         site = model.site(f"jet_rotor_{k}").id
@@ -624,17 +629,6 @@ def test_gimbals_hold_the_reaction_torques_of_rotors(tmp_path, moment, measured)
     # Sums of some 10 products of numbers below 50, and the tolerance of the trim's solver.
     measured("force [N]", np.abs(force - [0.0, 0.0, 9.81 * model.body_subtreemass[0]]).max(), 1e-9)
     measured("moment [N m]", np.abs(about_com).max(), 1e-9)
-
-
-def mujoco_at_start(robot, flight):
-    """MuJoCo's model of a robot, with the kinematics of a flight's first state."""
-    model = mujoco_model(str(robot))
-    data = mujoco.MjData(model)
-    order = order_of(str(robot), tuple(rust.Robot(robot).joint_names))
-    data.qpos[:3], data.qpos[3:7] = flight["base_position"][0], flight["base_quaternion"][0]
-    data.qpos[order.joints] = flight["joint_position"][0]
-    mujoco.mj_fwdPosition(model, data)
-    return model, data
 
 
 def test_every_greatest_thrust_has_an_engine_of_its_own():

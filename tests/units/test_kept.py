@@ -193,14 +193,11 @@ def test_a_kept_verdict_is_that_of_its_rows_by_the_present_claims_of_the_present
     assert {one.verdict.kind for one in stored.claims(fallen).values()} == {Kind.DIFFERS}
     other = msgspec.structs.replace(document, digest="of c0 = 5")
     assert {one.verdict.kind for one in stored.claims(other).values()} == {Kind.OUTDATED}
-    strict = {key: replace_most(one, 0.0) for key, one in stored.stated(document).items()}
-    monkeypatch.setattr(paper, "stated", lambda _: tuple(strict.values()))
+    replace = msgspec.structs.replace
+    claims = stored.stated(document).values()
+    strict = [replace(one, share=tuple(replace(share, at_most=0.0) for share in one.share)) for one in claims]
+    monkeypatch.setattr(paper, "stated", lambda _: tuple(strict))
     assert stored.claims(document)["mission_loss_paper"].verdict.kind is Kind.DIFFERS
-
-
-def replace_most(claim, at_most):
-    (share,) = claim.share
-    return msgspec.structs.replace(claim, share=(msgspec.structs.replace(share, at_most=at_most),))
 
 
 def test_cases_with_the_same_figures_are_a_table():

@@ -118,41 +118,18 @@ def test_every_reader_of_such_files_checks_them(read, tmp_path):
 # --- JSON
 
 
-def deep(path):
-    path.write_text('{"config": ' + "[" * 10**5 + "]" * 10**5 + "}")
-
-
-def deeper_than_ours(path):
-    path.write_text('{"config": {"a": ' + "[" * MAX_DEPTH + "]" * MAX_DEPTH + "}}")
-
-
-def of_other_types(path):
-    path.write_text('{"config": [], "files": [], "finished": [], "claims": 1, "git": "", "title": {}}')
-
-
-def a_list(path):
-    path.write_text("[]")
-
-
-def half_a_letter(path):
-    path.write_bytes(b'{"title": "\\ud800"}')
-
-
-def pipe(path):
-    os.mkfifo(path)
-
-
-def circle(path):
-    path.symlink_to(path)
-
-
-def a_folder(path):
-    path.mkdir()
-
-
-damage = pytest.mark.parametrize(
-    "damage", [deep, deeper_than_ours, of_other_types, a_list, half_a_letter, pipe, circle, a_folder]
-)
+OF_OTHER_TYPES = '{"config": [], "files": [], "finished": [], "claims": 1, "git": "", "title": {}}'
+DAMAGES = {
+    "deep": lambda path: path.write_text('{"config": ' + "[" * 10**5 + "]" * 10**5 + "}"),
+    "deeper than ours": lambda path: path.write_text('{"config": {"a": ' + "[" * MAX_DEPTH + "]" * MAX_DEPTH + "}}"),
+    "of other types": lambda path: path.write_text(OF_OTHER_TYPES),
+    "a list": lambda path: path.write_text("[]"),
+    "half a letter": lambda path: path.write_bytes(b'{"title": "\\ud800"}'),
+    "a pipe": os.mkfifo,
+    "a circle": lambda path: path.symlink_to(path),
+    "a folder": os.mkdir,
+}
+damage = pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 
 
 @damage
@@ -181,7 +158,7 @@ def test_a_damaged_manifest_is_named_by_every_reader_and_overwritten(damage, tmp
         _ = Results(tmp_path).flights
     with pytest.raises(Refused, match=rf"mine holds no finished result \({path} .*--overwrite it"):
         record.find_existing(folder, Identity("d"), documents.Manifest, overwrite=False)
-    if damage is not a_folder:
+    if damage is not os.mkdir:
         assert record.find_existing(folder, Identity("d"), documents.Manifest, overwrite=True) is None
         record.write_run(folder, flight, {"config_digest": "d"}, replace=True)
         assert record.read_manifest(folder)["config_digest"] == "d"
@@ -200,7 +177,7 @@ def test_a_damaged_description_of_a_sweep_is_named_by_every_reader_and_overwritt
         _ = Results(tmp_path).sweeps
     with pytest.raises(runs.NotDrawn, match=f"{path} (is damaged|cannot be read): "):
         sweeps.load(folder.parent, "mine")
-    if damage is not a_folder:
+    if damage is not os.mkdir:
         (folder / "cells.parquet").unlink()
         assert record.find_existing(folder, Identity("d"), documents.FinishedSweep, overwrite=True) is None
 
