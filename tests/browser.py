@@ -28,3 +28,20 @@ def open_chromium() -> Iterator[Any]:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(SWITCHES), timeout=SLOWEST)
         yield browser
         browser.close()
+
+
+class Page:
+    """A page in a tab, and what the tab had to complain about or asked for."""
+
+    def __init__(self, tab: Any, url: str, ready: str) -> None:
+        self.tab = tab
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        tab.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
+        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        tab.on("request", lambda request: self.requests.append(request.url))
+        tab.goto(url)
+        self.wait(ready)
+
+    def wait(self, condition: str) -> None:
+        self.tab.wait_for_function(condition)

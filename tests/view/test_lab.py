@@ -22,7 +22,7 @@ from jax_aero.view import recording
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
 
-from tests.browser import CHROMIUM, SLOWEST  # noqa: E402 - after the skip
+from tests.browser import CHROMIUM, SLOWEST, Page  # noqa: E402 - after the skip
 from tests.measurements import measured  # noqa: E402
 
 needs_node = pytest.mark.skipif(
@@ -39,21 +39,8 @@ STATES = ("base_position", "base_quaternion", "base_velocity", "joint_position",
 STATES += ("com_velocity", "momentum", "thrust")
 
 
-class Visit:
-    """The page in a tab, and what the tab had to complain about or asked for."""
-
-    def __init__(self, tab: Any, folder: Path, link: str = "") -> None:
-        self.tab = tab
-        self.complaints: list[str] = []
-        self.requests: list[str] = []
-        tab.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
-        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
-        tab.on("request", lambda request: self.requests.append(request.url))
-        tab.goto(f"{(folder / 'index.html').as_uri()}{link}")
-        self.wait("window.page && page.solid && page.solid.rows > 1")
-
-    def wait(self, condition: str) -> None:
-        self.tab.wait_for_function(condition)
+class Visit(Page):
+    """The lab in a tab."""
 
     def seek(self, time: float) -> None:
         """Show a moment, and stay there."""
@@ -95,7 +82,8 @@ def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
     def open_page(link: str = "", **options: Any) -> Visit:
         contexts.append(browser.new_context(**{"viewport": {"width": 420, "height": 300}, **options}))
         contexts[-1].set_default_timeout(SLOWEST)
-        return Visit(contexts[-1].new_page(), built, link)
+        url = f"{(built / 'index.html').as_uri()}{link}"
+        return Visit(contexts[-1].new_page(), url, "window.page && page.solid && page.solid.rows > 1")
 
     yield open_page
     for context in contexts:
@@ -164,21 +152,19 @@ def test_the_settings_of_a_flight_are_that_flight(name):
 
 
 @needs_node
-def test_published_arms_are_the_published_flights():
-    """By choosing in the page what the experiment files say."""
-    for controller, name in (("baseline", "test1_published"), ("aware", "test2_published")):
-        config = rust.resolve_config(changed("test1", {"controller": controller, "arms": "published"}))
-        experiment = about(name)["config"]
-        assert config["simulator"] == experiment["simulator"]
-        if controller == "aware":  # a baseline has no aerodynamics that could have arms
-            assert config["controller"] == experiment["controller"]
-
-
-@needs_node
-@pytest.mark.parametrize(("controller", "name"), [("observer", "test1_observer"), ("mpc", "test2_mpc")])
-def test_a_chosen_controller_is_that_of_its_file(controller, name):
-    config = rust.resolve_config(changed("test1", {"controller": controller}))
-    assert config["controller"] == about(name)["config"]["controller"]
+@pytest.mark.parametrize(
+    ("settings", "name", "same"),
+    [
+        # A baseline has no aerodynamics that could have arms.
+        ({"controller": "baseline", "arms": "published"}, "test1_published", ["simulator"]),
+        ({"controller": "aware", "arms": "published"}, "test2_published", ["simulator", "controller"]),
+        ({"controller": "observer"}, "test1_observer", ["controller"]),
+        ({"controller": "mpc"}, "test2_mpc", ["controller"]),
+    ],
+)
+def test_what_is_chosen_in_the_page_is_what_the_experiment_files_say(settings, name, same):
+    config, experiment = rust.resolve_config(changed("test1", settings)), about(name)["config"]
+    assert {part: config[part] for part in same} == {part: experiment[part] for part in same}
 
 
 @needs_node
@@ -421,22 +407,17 @@ def test_an_exported_flight_plays_as_one_file(browser, built, fallen, tmp_path):
     assert commands.main(["export", str(fallen), "--html", "--ghost", str(fallen), "--out", str(out)]) == 0
     tab = browser.new_context(viewport={"width": 800, "height": 500}).new_page()
     tab.set_default_timeout(SLOWEST)
-    complaints, requests = [], []
-    tab.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-    tab.on("pageerror", lambda error: complaints.append(str(error)))
-    tab.on("request", lambda request: requests.append(request.url))
-    tab.goto(out.as_uri())
-    tab.wait_for_function("page.now > 0.2")  # it plays by itself
+    page = Page(tab, out.as_uri(), "page.now > 0.2")  # it plays by itself
     tab.keyboard.press("Space")
-    tab.wait_for_function("!page.isPlaying")
+    page.wait("!page.isPlaying")
     tab.locator("figcaption select").last.select_option("joint_position")
     tab.evaluate("page.seek(21)")
-    tab.wait_for_function("document.querySelector('#status').textContent.includes('rotation error')")
+    page.wait("document.querySelector('#status').textContent.includes('rotation error')")
     seen = recording.read(fallen)
     shown = tab.evaluate("[...page.solid.pose(page.rowAt(page.solid, 21))]")
     now = seen.at(21.0)
     poses = np.concatenate([np.swapaxes(now.body_rotations, 1, 2).reshape(-1, 9), now.body_positions], axis=1)
     np.testing.assert_allclose(np.reshape(shown, (-1, 12)), poses, rtol=0, atol=1e-5)  # single precision, 100 m
-    assert complaints == []
-    assert [url for url in requests if not url.startswith("data:")] == [out.as_uri()]
+    assert page.complaints == []
+    assert [url for url in page.requests if not url.startswith("data:")] == [out.as_uri()]
     tab.context.close()

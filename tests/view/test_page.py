@@ -18,7 +18,7 @@ from jax_aero.view.recording import Recording
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
 
-from tests.browser import CHROMIUM, SLOWEST  # noqa: E402 - after the skip
+from tests.browser import CHROMIUM, SLOWEST, Page  # noqa: E402 - after the skip
 from tests.view.test_shapes import FACES, STL, draw_meshes  # noqa: E402
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
@@ -27,19 +27,8 @@ FALL = re.compile(r"Falls at 2[01]\.\d s")
 """Outcome of TEST1 as published; its last digits hang on rounding."""
 
 
-class Visit:
-    """The page of results in a tab, and what the tab had to complain about."""
-
-    def __init__(self, tab: Any, url: str) -> None:
-        self.tab = tab
-        self.complaints: list[str] = []
-        tab.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
-        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
-        tab.goto(url)
-        self.wait("window.page && page.plotted")
-
-    def wait(self, condition: str) -> None:
-        self.tab.wait_for_function(condition)
+class Visit(Page):
+    """The page of results in a tab."""
 
     def seek(self, time: float) -> None:
         """Show a moment, and stay there, when all is flown until then."""
@@ -68,7 +57,7 @@ def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
         context = browser.new_context(**{"viewport": {"width": 800, "height": 420}, **options})
         context.set_default_timeout(SLOWEST)
         opened.append((server, context))
-        return Visit(context.new_page(), f"http://127.0.0.1:{server.server_port}/")
+        return Visit(context.new_page(), f"http://127.0.0.1:{server.server_port}/", "window.page && page.plotted")
 
     yield open_page
     for server, context in opened:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from jax_aero.view import web
 
 pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
 
-from tests.browser import CHROMIUM, SLOWEST, open_chromium
+from tests.browser import CHROMIUM, SLOWEST
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 
@@ -26,11 +26,10 @@ TITLE = f"{HOSTILE}</script><!--<script>"
 
 
 @pytest.fixture(scope="module")
-def tab() -> Iterator[Any]:
-    with open_chromium() as browser:
-        opened = browser.new_page()
-        opened.set_default_timeout(SLOWEST)
-        yield opened
+def tab(browser: Any) -> Any:
+    opened = browser.new_page()
+    opened.set_default_timeout(SLOWEST)
+    return opened
 
 
 @pytest.fixture
