@@ -190,7 +190,10 @@ def of_page(document: Kept) -> Rows:
 
 
 def of_study(document: Kept, columns: Names, chosen: Names, digits: int = 2) -> Rows:
-    """Return a row for each case, or without columns for each figure of a study that has no case."""
+    """Return a row for each case, or without columns for each figure of a study that has no case.
+
+    A cell is empty where a case lacks a figure that another one has.
+    """
     cases = kept.cases_of(document.summary)
     if not columns:
         figures, cells = cases[""], []
@@ -200,8 +203,8 @@ def of_study(document: Kept, columns: Names, chosen: Names, digits: int = 2) -> 
         return ["figure", "value"], cells
     asked = by_heading(chosen or [case for case in cases if case])
     held = [one(cases, name, "case") for name in asked.values()]
-    rows = [{figure: Value(value, _unit(figure)) for figure, value in figures.items()} for figures in held]
-    labels = {figure: UNIT.sub("", figure) for row in rows for figure in row}
+    labels = {figure: UNIT.sub("", figure) for figures in held for figure in figures}
+    rows = [{figure: Value(figures.get(figure), _unit(figure)) for figure in labels} for figures in held]
     headings, cells = of_columns(columns, rows, labels, digits)
     return ["", *headings], [[text, *row] for text, row in zip(asked, cells, strict=True)]
 
