@@ -220,7 +220,6 @@ TO_FLY = {
     "faults",
     "joint_failures",
     "outages_observer",
-    "robot_unmeasured_healthy",
     "wind_humanoid_1",
     "wind_humanoid_1_mk3",
 }
