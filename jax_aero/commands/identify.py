@@ -389,8 +389,9 @@ def identify_robot(
             reasons |= {"feet loaded": int(ground.sum())} if ground.any() else {}
         counts = ", ".join(f"{count} by {reason}" for reason, count in reasons.items())
         if one.weight.sum() * samples.PERIOD < samples.LEAST:
-            expected = f"{samples.LEAST:g} s that the equations of flight cover; left out: {counts}"
-            raise Refused(f"a log has {one.weight.sum() * samples.PERIOD:g} s of flight; expected {expected}")
+            has = f"{one.weight.sum() * samples.PERIOD:g} s of flight beside {samples.SETTLING:g} s at either end"
+            of_them = f"; left out: {counts}" if counts else ""
+            raise Refused(f"a log has {has}; expected {samples.LEAST:g} s that the equations of flight cover{of_them}")
         flying = one.weight.size - reasons.get("feet loaded", 0) - reasons.get("engines idle", 0)
         if one.weight.sum() < samples.KEPT * flying:
             kept = f"{one.weight.sum():.0f} of {flying} samples in flight"

@@ -24,6 +24,7 @@ from jax_aero import cli, rust
 from jax_aero.base import places, tables
 from jax_aero.base.typed_config import scenario_config
 from jax_aero.figures.catalogue import FIGURES
+from jax_aero.identify import samples
 from jax_aero.refusals import refused
 from jax_aero.sweep import spec
 from jax_aero.sweep.design import Design
@@ -127,12 +128,12 @@ class Flights:
         self.place = place
         self.flown: dict[str, Path | Refused] = {}
 
-    def flight(self, name: str, *more: object) -> Path:
-        """Return the result of a short flight of an experiment."""
-        key = " ".join(map(str, (name, *more)))
+    def flight(self, name: str, *more: object, least: float = 0.0) -> Path:
+        """Return the result of a short flight of an experiment, of some seconds at least."""
+        key = " ".join(map(str, (name, *more, *([least] if least else []))))
         if key not in self.flown:
             out = self.place / "flight" / places.addition(places.file_name(key))
-            duration = shortest(rust.load_config(name if not name.endswith(".toml") else Path(name)))
+            duration = max(least, shortest(rust.load_config(name if not name.endswith(".toml") else Path(name))))
             words = ("fly", name, "--set", f"simulator.duration={duration}", "--name", "run", "--out", out, *more)
             try:
                 do(*words)
@@ -271,8 +272,9 @@ def snapshot(flights: Flights, name: str) -> None:
 
 @action("experiments", jax=True)
 def identify(flights: Flights, name: str) -> None:
-    """Find numbers in a log of four seconds."""
-    flight = flights.flight(name, "--set", "simulator.duration=4.0")
+    """Find numbers in a log as short as it may be; the missions of those on the ground lift off within five seconds."""
+    is_on_ground = bool(rust.load_config(name)["simulator"].get("ground"))
+    flight = flights.flight(name, least=2.0 * samples.SETTLING + samples.LEAST + 0.1 + 5.0 * is_on_ground)
     do("identify", flight, "--out", flights.path(f"{name} identified", "numbers"), table=True)
 
 
@@ -442,10 +444,12 @@ def others() -> list[Pair]:
 
 def refused_keys(pair: Pair) -> list[str]:
     """Return the keys by which a pair is to be refused: those of `jax_aero.refusals`."""
-    if pair.action in {"fly_jax", "verify"}:
-        config = scenario_config(rust.load_config(pair.name))
-        return [refusal.key for refusal in refused(config, of_law=pair.action == "verify")]
-    return []
+    if pair.action not in {"fly_jax", "verify"}:
+        return []
+    config = scenario_config(rust.load_config(pair.name))
+    # Of what JAX does not fly, `verify` compares the law alone, if it has that.
+    is_refused = refused(config, of_law=pair.action == "verify")
+    return [refusal.key for refusal in refused(config)] if is_refused else []
 
 
 def check(flights: Flights, pair: Pair) -> None:
