@@ -25,7 +25,7 @@ use std::slice;
 use std::sync::LazyLock;
 
 /// Version of the library to which this header belongs: 10000 major + 100 minor + patch.
-pub const FLIGHT_VERSION: u32 = 100;
+pub const FLIGHT_VERSION: u32 = 200;
 
 /// Greatest thrust rate and torque that a simulated robot accepts \[N/s, N m\].
 pub const FLIGHT_COMMAND_MAX: f64 = 1e6;
