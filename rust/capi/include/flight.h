@@ -71,7 +71,7 @@ typedef enum FlightMode {
 } FlightMode;
 
 // Version of the library to which this header belongs: 10000 major + 100 minor + patch.
-#define FLIGHT_VERSION 100
+#define FLIGHT_VERSION 200
 
 // Greatest thrust rate and torque that a simulated robot accepts \[N/s, N m\].
 #define FLIGHT_COMMAND_MAX 1e6
