@@ -215,8 +215,6 @@ ELSEWHERE = [name for name in kept.names() if kept.read(name).firsts and not any
 FLOWN = 3
 """Flights of a cell whose share is compared."""
 TO_FLY = {
-    "engine_loss",
-    "fault_pairs",
     "faults",
     "joint_failures",
     "outages_observer",
