@@ -1,8 +1,7 @@
 """Measure parts of a JAX flight and their gradients in one run: `python -m experiments.tools.bench_jax`.
 
 Times are per sample of a batch, in double precision, on JAX's default device; compilation is cold or from JAX's
-persistent cache. States are those of TEST2, and of `robot`, hovering in the full wind. Prints the Markdown
-table of `docs/learning.md`.
+persistent cache. States are those of TEST2, and of `robot`, hovering in the full wind. Prints a Markdown table.
 """
 
 from __future__ import annotations
