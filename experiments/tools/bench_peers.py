@@ -70,7 +70,7 @@ class Peer(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.tools.bench_peers", description=__doc__)
-    parser.add_argument("--turns", type=count, default=50, help="number of runs of everything (default 50)")
+    parser.add_argument("--turns", type=count, default=40, help="number of runs of everything (default 40)")
     parser.add_argument("--store", action="store_true", help="store what is measured")
     given = parser.parse_args(arguments)
     untyped.config.update("jax_enable_x64", True)

@@ -206,6 +206,9 @@ def test_cases_with_the_same_figures_are_a_table():
     assert "| | rms | n |\n|---|---|---|\n| a | 0.5000 | 3 |" in text
     assert "| | rms |\n|---|---|\n| b | 0.2500 |\n| c, d | 0.1250 |" in text
     assert "| mass | 4.610 kg |" in text
+    # Where a page chooses the cases, one that lacks a figure has an empty cell.
+    _, cells = kept_tables.of_study(made_up(rows=[], summary=summary), ["rms", "n"], ["a", "b"])
+    assert cells == [["a", "0.50", "3"], ["b", "0.25", ""]]
 
 
 # --- flown again

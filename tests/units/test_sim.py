@@ -281,6 +281,13 @@ def test_a_rollout_refuses_a_number_that_counts_nothing(ticks):
         sim.rollout(None, None, ticks, sim.keep_row)
 
 
+def test_a_tick_has_products_in_full_precision_alone():
+    """Of controller and robot: with a device's default a GPU rounds factors to ten bits."""
+    flight = sim.prepare(rust.load_config("test2", {"simulator.duration": 0.1}), dtype=np.float32)
+    program = str(jax.make_jaxpr(lambda *flight: sim.step(*flight, jnp.array(0)))(*flight))
+    assert set(re.findall(r"precision=\S+", program)) == {"precision=(Precision.HIGHEST,"}
+
+
 SPOILT = {"simulator.integrator": ("rk4", "semi_implicit_euler"), "simulator.duration": (1e9, "ten million ticks")}
 
 

@@ -155,12 +155,11 @@ fn a_measured_latency_is_used() {
     };
     // The observer's law with exact measurements and with sensors, and the predictive law in the realistic simulation.
     for (name, torque_delay, greatest) in
-        [("test2_observer", 0.01, 5.0), ("test2_sensors", 0.01, 8.0), ("robot", 0.02, 20.0)]
+        [("test2_observer", 0.01, 5.0), ("test2_sensors", 0.01, 8.0), ("robot", 0.024, 20.0)]
     {
-        let [without, flight] = [false, true].map(|is_used| fly(name, torque_delay, is_used));
+        assert_ne!(fly(name, torque_delay, false).outcome, Outcome::Completed, "{name}");
+        let flight = fly(name, torque_delay, true);
         assert_eq!(flight.outcome, Outcome::Completed, "{name}: {:?}", flight.loss);
-        let [most, least] = [&without, &flight].map(|flight| flight.summary.rms_rotation_error);
-        assert!(without.outcome == Outcome::Fell || most > 5.0 * least, "{name}: {most}, {least} rad");
         let rotation = flight.summary.max_rotation_error.to_degrees();
         assert_within!(rotation, greatest, because "margin of the flight", "{name}: {rotation} deg");
     }
