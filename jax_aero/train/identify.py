@@ -31,6 +31,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
+from jax_aero.base.terminal import progress_bar
 from jax_aero.body.dynamics import dynamics
 from jax_aero.body.kinematics import generalised_thrust, kinematics, kinematics_at_rest
 from jax_aero.body.robot import RobotModel
@@ -420,7 +421,9 @@ def estimate(
             theta[free] += sigma * (covariance @ slope)
         return theta, covariance
 
-    def search(theta: Any, counts: Sequence[int], step: int) -> tuple[Any, Any, Any, float]:
+    def search(
+        theta: Any, counts: Sequence[int], step: int, begin: Callable[[int], None]
+    ) -> tuple[Any, Any, Any, float]:
         """Return numbers, their covariance, slopes at the last linearisation, and the last step in deviations.
 
         Slopes are kept as long as steps with them become shorter.
@@ -430,7 +433,8 @@ def estimate(
         ]
         linear: Any = None
         is_stale, moved, linearised = True, np.inf, 0
-        for _ in range(STEPS):
+        for number in range(STEPS):
+            begin(number)
             lefts = left_of(theta, some)
             if is_stale:
                 guess = unravel(jnp.asarray(theta))
@@ -448,8 +452,9 @@ def estimate(
                 is_stale = linearised < LINEARISED
         return theta, covariance, linear, moved
 
-    theta, *_ = search(np.zeros(width.size), known, COARSE)
-    theta, covariance, linear, moved = search(theta, counts, 1)
+    with progress_bar("step", delay=0) as show:
+        theta, *_ = search(np.zeros(width.size), known, COARSE, lambda step: show(step, 2 * STEPS))
+        theta, covariance, linear, moved = search(theta, counts, 1, lambda step: show(STEPS + step, 2 * STEPS))
     held_out = []
     if any(count < len(one) for count, one in zip(known, rows, strict=True)):
         predicted, unknown = theta, covariance

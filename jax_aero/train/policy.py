@@ -29,6 +29,7 @@ from jaxtyping import Float, Int, Key
 from numpy.typing import NDArray
 
 from jax_aero.base import tables
+from jax_aero.base.terminal import progress_bar
 from jax_aero.control.law.residual import Layer, Policy, PolicyResidual, evaluate, weigh
 from jax_aero.env import EnvState, FlightEnv, Task
 from jax_aero.sim.plant import COMPILER_OPTIONS
@@ -195,16 +196,18 @@ class Trainer:
         state = self._start(key)
         if found := load_checkpoint(checkpoint, digest, state):
             state, rows = found.state, [Row(*row) for row in found.facts["rows"]]
-        for number in range(len(rows), self.steps):
-            began = time.process_time(), time.perf_counter()
-            # An argument, so that runs of other lengths share the compiled step.
-            share = jnp.asarray(0.5 * (1.0 + math.cos(math.pi * number / self.steps)))
-            state, recorded = self._step(jax.random.fold_in(key, number), state, share)
-            reward, lost = map(float, recorded)  # waits for the step
-            rows.append(Row(reward, lost, time.process_time() - began[0], time.perf_counter() - began[1]))
-            on_step(number + 1, state.policy, rows)
-            if (number + 1) % checkpoint_every == 0 or number + 1 == self.steps:
-                save_checkpoint(checkpoint, digest, Checkpoint(state, {"rows": rows}))
+        with progress_bar("step", f"seed {seed}", delay=0) as show:
+            for number in range(len(rows), self.steps):
+                show(number, self.steps)  # before the first step, which compiles for minutes
+                began = time.process_time(), time.perf_counter()
+                # An argument, so that runs of other lengths share the compiled step.
+                share = jnp.asarray(0.5 * (1.0 + math.cos(math.pi * number / self.steps)))
+                state, recorded = self._step(jax.random.fold_in(key, number), state, share)
+                reward, lost = map(float, recorded)  # waits for the step
+                rows.append(Row(reward, lost, time.process_time() - began[0], time.perf_counter() - began[1]))
+                on_step(number + 1, state.policy, rows)
+                if (number + 1) % checkpoint_every == 0 or number + 1 == self.steps:
+                    save_checkpoint(checkpoint, digest, Checkpoint(state, {"rows": rows}))
         return TrainingResult(jax.tree.map(np.asarray, state.policy), tuple(rows))
 
 

@@ -63,7 +63,7 @@ CARRIED = 100
 """Ticks for which memory carries a rounding on: 1 s."""
 
 SECTION = 100
-"""Ticks that one call of JAX flies, so that flights of every length are the same program; one astray has no more."""
+"""Ticks that one call of JAX flies at most, so that flights of every length are one program; none astray has more."""
 
 WRONG_SPEED, WRONG_THRUST = 3.0, (0.3, 1.5)
 """Error of the measured joint velocities of a flight astray [rad/s, m/s], and ratio of its thrusts to the true ones."""
@@ -85,6 +85,8 @@ class Section(NamedTuple):
     """Number of the first tick."""
     given: Logged
     is_free: Any
+    ticks: Any
+    """Number of ticks; what is given has more."""
     once: bool
     """Whether its program is compiled without optimisation, since it runs for moments."""
     after: FlightState
@@ -174,7 +176,7 @@ def fly_astray(config: Mapping[str, Any]) -> Iterator[FlightResult]:
 def fly_sections(
     scenario: Scenario, start: FlightState, crate: FlightResult, *, is_free: bool = False, once: bool = False
 ) -> Iterator[Section]:
-    """Yield the ticks of a flight as JAX flies them, the last section with its last tick repeated."""
+    """Yield the ticks of a flight as JAX flies them."""
     log = crate.log
     measured = states_of(log, "raw_")
     given = Logged(
@@ -185,16 +187,20 @@ def fly_sections(
     for first in range(0, len(log["time"]), SECTION):
         place = np.minimum(np.arange(first, first + SECTION), len(log["time"]) - 1)
         section = jax.tree.map(lambda leaf, place=place: np.asarray(leaf)[place], given)
-        flown = fly_section(scenario, start, np.int32(first), section, np.asarray(is_free), once)
+        ticks = np.int32(min(SECTION, len(log["time"]) - first))
+        flown = fly_section(scenario, start, np.int32(first), section, np.asarray(is_free), ticks, once)
         start = flown.after
         yield flown
 
 
-def fly_section(scenario: Scenario, start: FlightState, first: Any, given: Logged, is_free: Any, once: bool) -> Section:
+def fly_section(
+    scenario: Scenario, start: FlightState, first: Any, given: Logged, is_free: Any, ticks: Any, once: bool
+) -> Section:
     """Fly the ticks of a section."""
     program = _fly_once if once else _fly
-    (after, rows), sides = jax.device_get(program(scenario, start, first, given, is_free))
-    return Section(start, first, given, is_free, once, after, rows, sides)
+    (after, rows), sides = jax.device_get(program(scenario, start, first, given, is_free, ticks))
+    rows = {name: value[:ticks] for name, value in rows.items()}
+    return Section(start, first, given, is_free, ticks, once, after, rows, sides)
 
 
 def join(crate: FlightResult, sections: Sequence[Section]) -> FlightResult:
@@ -202,22 +208,29 @@ def join(crate: FlightResult, sections: Sequence[Section]) -> FlightResult:
     last = len(crate["time"]) - 1
     after, rows = sections[-1].after, [section.rows for section in sections]
     ending = Ending(int(after.loss), float(after.loss_size), int(after.loss_tick))
-    signals = {name: np.concatenate([row[name] for row in rows]).astype(np.float64)[: last + 1] for name in rows[0]}
+    signals = {name: np.concatenate([row[name] for row in rows]).astype(np.float64) for name in rows[0]}
     return make_result(signals, np.asarray(after.posture), ending, last)
 
 
 def _fly_ticks(
-    scenario: Scenario, start: FlightState, first: Int[Array, ""], given: Logged, is_free: Bool[Array, ""]
+    scenario: Scenario,
+    start: FlightState,
+    first: Int[Array, ""],
+    given: Logged,
+    is_free: Bool[Array, ""],
+    ticks: Int[Array, ""],
 ) -> tuple[FlightState, FlightRow]:
-    def fly_tick(state: FlightState, of_tick: tuple[Array, Logged]) -> tuple[FlightState, FlightRow]:
-        (tick, now), found = of_tick, state.plant
+    @jax.jit
+    def fly_tick(state: FlightState, place: Array) -> tuple[FlightState, FlightRow]:
+        now: Logged = jax.tree.map(lambda leaf: leaf[place], given)
+        found = state.plant
         taken = found._replace(robot=now.state, jets=found.jets._replace(thrust=now.thrust))
         state = state._replace(plant=where(is_free, found, taken))
 
         def hand(own: Measurement) -> Measurement:
             return where(is_free, own, now.measurement._replace(time=own.time, preview=own.preview))
 
-        state, row = step(scenario, state, tick, hand)
+        state, row = step(scenario, state, first + place, hand)
         # The state is that to which JAX's own last tick led.
         return state, row | {
             "base_position": found.robot.base_position,
@@ -228,8 +241,16 @@ def _fly_ticks(
             "thrust": found.jets.thrust,
         }
 
-    ticks = first + jnp.arange(given.thrust.shape[0], dtype=jnp.int32)
-    return jax.lax.scan(fly_tick, start, (ticks, given))
+    def next_tick(flown: tuple[Array, FlightState, FlightRow]) -> tuple[Array, FlightState, FlightRow]:
+        place, state, rows = flown
+        state, row = fly_tick(state, place)
+        return place + 1, state, {name: signal.at[place].set(row[name]) for name, signal in rows.items()}
+
+    none = jnp.zeros_like(first)
+    _, row = jax.eval_shape(fly_tick, start, none)
+    rows = {name: jnp.zeros((given.thrust.shape[0], *value.shape), value.dtype) for name, value in row.items()}
+    _, after, rows = jax.lax.while_loop(lambda flown: flown[0] < ticks, next_tick, (none, start, rows))
+    return after, rows
 
 
 _fly = jax.jit(count_sides(_fly_ticks), compiler_options=COMPILER_OPTIONS)

@@ -31,7 +31,8 @@ SEEN = 1e-6
 """Difference that counts, relative to the greatest entry: far more than any tolerance."""
 
 FEW = 10
-"""Random ticks that are computed anew at once; almost everything shows in the first of them."""
+"""Random ticks that are computed anew at once, and ticks of each flight astray before whole sections; almost everything
+shows in the first of them."""
 
 ROBOTS = ("plant.robot.", "controller_model.")
 
@@ -87,6 +88,7 @@ class _Reach:
         flown = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]
         self.comparisons: list[Callable[[Scenario], bool]] = [
             *map(partial(partial, _are_others), parts, expected),
+            *(partial(is_another, section=section, ticks=FEW) for section in sections[:ASTRAY]),
             *(partial(is_another, section=section) for section in (*sections[:ASTRAY], *flown)),
         ]
         leaves, self.structure = jax.tree_util.tree_flatten_with_path(scenario)
@@ -162,10 +164,12 @@ def _are_others(samples: Sequence[Sample], expected: Mapping[str, Any], changed:
     return differ(random_ticks(changed, samples), expected)
 
 
-def is_another(changed: Scenario, section: Section) -> bool:
-    """Return whether a section of a flight is another one in a changed scenario."""
-    again = fly_section(changed, *section[:5])
-    return int(again.after.loss) != int(section.after.loss) or differ(again.rows, section.rows)
+def is_another(changed: Scenario, section: Section, ticks: int | None = None) -> bool:
+    """Return whether a section of a flight, or its first ticks, are others in a changed scenario."""
+    few = np.int32(section.ticks if ticks is None else min(ticks, section.ticks))
+    again = fly_section(changed, *section[:4], few, section.once)
+    ends_alike = few < section.ticks or int(again.after.loss) == int(section.after.loss)
+    return not ends_alike or differ(again.rows, {name: value[:few] for name, value in section.rows.items()})
 
 
 def differ(ours: Mapping[str, Any], expected: Mapping[str, Any]) -> bool:

@@ -23,6 +23,9 @@ INK: Colour = (32, 36, 44)
 SOFT: Colour = (88, 94, 104)
 PAPER: Colour = (255, 255, 255)
 
+OUT = 0.03
+"""Thrust of an engine that has stopped, as a share of the greatest one."""
+
 
 @functools.lru_cache
 def font(size: int) -> Any:
@@ -59,6 +62,7 @@ def letter_video(
         f"off course {np.linalg.norm(now.com - now.com_setpoint):.2f} m",
         f"speed {np.linalg.norm(now.com_velocity):.1f} m/s",
         f"height {now.com[2]:.1f} m",
+        stopped(now),
     ]
     for i, line in enumerate(lines):
         text(draw, (width - margin, margin + int(1.35 * i * size)), line, size, INK, anchor="ra")
@@ -104,6 +108,9 @@ def letter_row(
             badge(draw, (middle, upper), flight, int(0.9 * letters), "mm", _outcome(flight))
         else:
             text(draw, (middle, upper), rotation_error(flight.at(time)), letters, INK, "mm")
+        if words := stopped(flight.at(time)):
+            place = middle, bands[0] + height - letters
+            label(draw, place, words, int(0.9 * letters), drawing.FELL, "mm")
         if number:
             draw.rectangle((number * panel - 1, 0, number * panel, bands[0] + height), fill=PAPER)
     wind = max(np.linalg.norm(flight.at(time).wind) for flight in flights)
@@ -124,6 +131,12 @@ def letter_row(
 def rotation_error(now: Instant) -> str:
     """Return the rotation error in words."""
     return shown(SIGNALS["rotation_error"], now.rotation_error).said(".0f")
+
+
+def stopped(now: Instant) -> str:
+    """Return how many engines have stopped in words, or nothing."""
+    count = int(np.sum(now.thrust < OUT * np.max(now.thrust)))
+    return f"{count} of {len(now.thrust)} engines stopped" if count else ""
 
 
 def _outcome(flight: Recording) -> str:

@@ -287,7 +287,8 @@ def fly_jax(flights: Flights, name: str) -> None:
 @action("experiments", jax=True)
 def verify(flights: Flights, name: str) -> None:
     """Compare the crate with JAX in it."""
-    do("verify", "--config", name, "--states", "3", "--out", flights.path(f"{name} verified", "verify"))
+    duration = f"simulator.duration={shortest(rust.load_config(name))}"
+    do("verify", "--config", name, "--set", duration, "--states", "3", "--out", flights.path(f"{name} verified", "v"))
 
 
 @action("experiments")
