@@ -9,7 +9,8 @@ Examples
 
 `load`, `fly` and `fly_batch` call the Rust crate, which is the reference for physics and control (`jax_aero.rust` has
 its other functions). `prepare` and `rollout` compute the same flight in JAX, for `jit`, `vmap` and `grad`;
-`replace_values` replaces numbers in what `prepare` returns (`jax_aero.sim` has the other functions). `air` gives
+`replace_values` replaces numbers in what `prepare` returns, by names of `value_names` (`jax_aero.sim` has the other
+functions). `air` gives
 aerodynamic forces to other simulators, and `env` is the flight as a reinforcement-learning environment. Packages of the
 extras are imported on first use: `twin` brings those of `sim`, `air` and `env`.
 """
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from jax_aero.sim.preparation import prepare as prepare
     from jax_aero.sim.rollout import rollout as rollout
     from jax_aero.types import replace_values as replace_values
+    from jax_aero.types import value_names as value_names
 
     load = load_config
 
@@ -46,6 +48,7 @@ _PLACES = {
     "rollout": "jax_aero.sim:rollout",
     "rust": "jax_aero.rust",
     "sim": "jax_aero.sim",
+    "value_names": "jax_aero.types:value_names",
 }
 
 __all__ = list(_PLACES)

@@ -9,6 +9,7 @@ Equation M7 of `docs/model`.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
 
@@ -183,6 +184,20 @@ def replace_values(tree: Tree, values: Mapping[str, Any]) -> Tree:
     for name, value in values.items():
         tree = _replace_value(tree, name.split("."), name, value)
     return tree
+
+
+def value_names(tree: Any) -> list[str]:
+    """Return the names of a scenario, or of a part of it, whose numbers `replace_values` replaces."""
+
+    def is_accepted(name: str, leaf: Any) -> bool:
+        with suppress(ValueError):
+            replace_values(tree, {name: leaf})
+            return True
+        return False
+
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    named = [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in leaves]
+    return [name for name, leaf in named if is_accepted(name, leaf)]
 
 
 def _replace_value(node: Any, path: list[str], name: str, value: Any) -> Any:

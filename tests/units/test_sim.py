@@ -24,7 +24,7 @@ from jax_aero.body.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotate
 from jax_aero.sim import plant
-from jax_aero.types import Array, Setpoint, pytree, replace_values
+from jax_aero.types import Array, Setpoint, pytree, replace_values, value_names
 
 
 @pytree
@@ -240,6 +240,9 @@ def test_what_others_were_computed_from_does_not_change():
     for values in [*({name: 0.02} for name in names), {"n_ticks": 20}]:
         with pytest.raises(ValueError, match=rf"`{next(iter(values))}` is what others .*; expected `prepare`"):
             replace_values(scenario, values)
+    names = value_names(scenario)
+    assert {"wind.velocity", "controller.momentum.kp_linear"} <= {*names}
+    assert not {"n_ticks", "plant.time_step", "plant.has_stops"} & {*names}
     assert not replace_values(scenario, {"wind.velocity": jnp.zeros(3)}).wind.velocity.any()
     exact = replace(scenario, actuation=None)
     assert replace_values(exact, {"n_ticks": 20}).n_ticks == 20
