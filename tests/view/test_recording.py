@@ -277,3 +277,13 @@ def test_the_library_needs_nothing_of_the_viewer():
     )
     answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize(
+    ("engines", "words"), [([], ""), ([2], "1 of 4 engines stopped"), ([0, 3], "2 of 4 engines stopped")]
+)
+def test_a_picture_says_how_many_engines_have_stopped(engines, words, standing):
+    now = standing(rust.load_config("test2")["robot"]).at(1.0)
+    thrust = now.thrust.copy()
+    thrust[engines] = 0.5
+    assert labels.stopped(now._replace(thrust=thrust)) == words
