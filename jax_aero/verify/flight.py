@@ -28,6 +28,7 @@ from jax_aero import rust
 from jax_aero.base.result import FlightResult, match_branch
 from jax_aero.body.spatial import wxyz_from_rotation
 from jax_aero.control import Measurement
+from jax_aero.sim.outcome import FLYING
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.preparation import prepare
 from jax_aero.sim.rollout import Ending, make_result
@@ -128,15 +129,16 @@ class Verified:
 
 def verify_flight(config: Mapping[str, Any], backend: str = "tree") -> Verified:
     """Compare every tick of a flight and of some astray, and the flight from its start as far as it is reproducible."""
-    crate = rust.fly(config)
+    crate, rounded_flight = rust.fly(config), _fly_rounded(config)
     with jax.enable_x64(True):
         scenario, start = prepare({**config, "simulator": {**config["simulator"], "dynamics": backend}})
-        sections, free = (list(fly_sections(scenario, start, crate, is_free=is_free)) for is_free in (False, True))
+        sections = list(fly_sections(scenario, start, crate, max(ticks_unguarded(crate), 1)))
+        free = list(fly_sections(scenario, start, crate, ticks_reproducible(crate, rounded_flight), is_free=True))
     twin = join(crate, sections)
     ticks, rows = compare_ticks(crate, twin, replay_rounded(config, crate, twin))
     sections_astray, rows_astray = verify_astray(config, scenario, start)
-    until, rows_of_flight = compare_flight(crate, join(crate, free), _fly_rounded(config))
-    sections = [*sections_astray, *sections[: -(-ticks // SECTION)]]
+    until, rows_of_flight = compare_flight(crate, join(crate, free), rounded_flight)
+    sections = [*sections_astray, *sections]
     return Verified(crate, twin, [*rows, *rows_astray, *rows_of_flight], ticks, until, scenario, sections)
 
 
@@ -174,9 +176,15 @@ def fly_astray(config: Mapping[str, Any]) -> Iterator[FlightResult]:
 
 
 def fly_sections(
-    scenario: Scenario, start: FlightState, crate: FlightResult, *, is_free: bool = False, once: bool = False
+    scenario: Scenario,
+    start: FlightState,
+    crate: FlightResult,
+    ticks: int | None = None,
+    *,
+    is_free: bool = False,
+    once: bool = False,
 ) -> Iterator[Section]:
-    """Yield the ticks of a flight as JAX flies them."""
+    """Yield the ticks of a flight, or its first ones, as JAX flies them."""
     log = crate.log
     measured = states_of(log, "raw_")
     given = Logged(
@@ -184,11 +192,12 @@ def fly_sections(
         jnp.asarray(log["thrust"]),
         Measurement(jnp.asarray(log["time"]), measured, jnp.asarray(log["raw_thrust"]), jnp.asarray(log["raw_wind"])),
     )
-    for first in range(0, len(log["time"]), SECTION):
+    ticks = len(log["time"]) if ticks is None else ticks
+    for first in range(0, ticks, SECTION):
         place = np.minimum(np.arange(first, first + SECTION), len(log["time"]) - 1)
         section = jax.tree.map(lambda leaf, place=place: np.asarray(leaf)[place], given)
-        ticks = np.int32(min(SECTION, len(log["time"]) - first))
-        flown = fly_section(scenario, start, np.int32(first), section, np.asarray(is_free), ticks, once)
+        few = np.int32(min(SECTION, ticks - first))
+        flown = fly_section(scenario, start, np.int32(first), section, np.asarray(is_free), few, once)
         start = flown.after
         yield flown
 
@@ -204,8 +213,8 @@ def fly_section(
 
 
 def join(crate: FlightResult, sections: Sequence[Section]) -> FlightResult:
-    """Return the flight of these sections, which has the ticks of the crate's."""
-    last = len(crate["time"]) - 1
+    """Return the flight of these sections, which are of the crate's first ticks."""
+    last = min(sum(int(section.ticks) for section in sections), len(crate["time"])) - 1
     after, rows = sections[-1].after, [section.rows for section in sections]
     ending = Ending(int(after.loss), float(after.loss_size), int(after.loss_tick))
     signals = {name: np.concatenate([row[name] for row in rows]).astype(np.float64) for name in rows[0]}
@@ -249,7 +258,11 @@ def _fly_ticks(
     none = jnp.zeros_like(first)
     _, row = jax.eval_shape(fly_tick, start, none)
     rows = {name: jnp.zeros((given.thrust.shape[0], *value.shape), value.dtype) for name, value in row.items()}
-    _, after, rows = jax.lax.while_loop(lambda flown: flown[0] < ticks, next_tick, (none, start, rows))
+
+    def goes_on(flown: tuple[Array, FlightState, FlightRow]) -> Array:
+        return (flown[0] < ticks) & (flown[1].loss == FLYING)
+
+    _, after, rows = jax.lax.while_loop(goes_on, next_tick, (none, start, rows))
     return after, rows
 
 
@@ -363,17 +376,26 @@ def compare_signals(
 
 def compare_flight(crate: FlightResult, twin: FlightResult, rounded: FlightResult) -> tuple[float, list[Row]]:
     """Compare two flights until the crate's differs from its own `rounded` one; return that time too [s]."""
-    ticks = min(len(flight["time"]) for flight in (crate, twin, rounded))
-    names = [name for name in crate.log if name not in NOT_COMPARED]
-    near = {name: match_branch(name, rounded[name][:ticks], crate[name][:ticks]) for name in names}
-    apart = np.max([differences(near[name], crate[name][:ticks]) for name in names], axis=0)
-    ticks = int(np.argmax([*(apart > FLIGHT_TOLERANCE), True]))
+    ticks = min(len(twin["time"]), ticks_reproducible(crate, rounded))
     rows = []
-    for name in names:
+    for name in _of_flight(crate):
         theirs = crate[name][:ticks]
-        ours, rounding = match_branch(name, twin[name][:ticks], theirs), near[name][:ticks]
+        ours, rounding = (match_branch(name, flight[name][:ticks], theirs) for flight in (twin, rounded))
         rows.append(compare("flight", name, ours, theirs, FLIGHT_TOLERANCE, rounded=rounding, relative=False))
     return float(crate["time"][ticks - 1]), rows
+
+
+def ticks_reproducible(crate: FlightResult, rounded: FlightResult) -> int:
+    """Return the number of ticks before the crate's flight differs from its own `rounded` one."""
+    ticks = min(len(flight["time"]) for flight in (crate, rounded))
+    names = _of_flight(crate)
+    near = (match_branch(name, rounded[name][:ticks], crate[name][:ticks]) for name in names)
+    apart = np.max([differences(part, crate[name][:ticks]) for part, name in zip(near, names, strict=True)], axis=0)
+    return int(np.argmax([*(apart > FLIGHT_TOLERANCE), True]))
+
+
+def _of_flight(crate: FlightResult) -> list[str]:
+    return [name for name in crate.log if name not in NOT_COMPARED]
 
 
 def states_of(log: Mapping[str, NDArray[np.float64]], prefix: str = "") -> State:
