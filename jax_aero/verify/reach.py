@@ -30,7 +30,7 @@ ASTRAY = 4
 SEEN = 1e-6
 """Difference that counts, relative to the greatest entry: far more than any tolerance."""
 
-FEW = 10
+FEW, FIRST = 2, 10
 """Random ticks that are computed anew at once, and ticks of each flight astray before whole sections; almost everything
 shows in the first of them."""
 
@@ -80,7 +80,8 @@ class _Reach:
     """Which numbers one scenario's comparisons depend on."""
 
     def __init__(self, scenario: Scenario, samples: Sequence[Sample], sections: Sequence[Section]) -> None:
-        parts = [samples[first : first + FEW] for first in range(0, len(samples), FEW)]
+        # All parts have equal length, so that they are one program.
+        parts = [[*samples, *samples][first : first + FEW] for first in range(0, len(samples), FEW)]
         expected = [random_ticks(scenario, part) for part in parts]
         self.integral = max((np.abs(part["velocity_error_integral"]).max() for part in expected), default=0.0)
         # Neighbours are alike, so by the golden ratio each section is far from those before it.
@@ -88,7 +89,7 @@ class _Reach:
         flown = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]
         self.comparisons: list[Callable[[Scenario], bool]] = [
             *map(partial(partial, _are_others), parts, expected),
-            *(partial(is_another, section=section, ticks=FEW) for section in sections[:ASTRAY]),
+            *(partial(is_another, section=section, ticks=FIRST) for section in sections[:ASTRAY]),
             *(partial(is_another, section=section) for section in (*sections[:ASTRAY], *flown)),
         ]
         leaves, self.structure = jax.tree_util.tree_flatten_with_path(scenario)
