@@ -1,9 +1,10 @@
 """What no comparison has reached: numbers of JAX's controller and plant whose change nothing that was compared shows.
 
-A wrong number of these agrees in everything. All that have shown nothing yet are changed together, in the random ticks
-and in one section of the flights after the other; where something compared is different, either half of them is, until
-each of those that show is found alone. What a number of zero is multiplied with shows nothing, so only a comparison in
-which it is not zero reaches it.
+A wrong number of these agrees in everything. Each is changed alone in the first random ticks, if they depend on it, and
+in the first ticks of a flight astray; there almost all show. What has shown nothing yet is changed together, in other
+random ticks and in one section of the flights after the other; where something compared is different, either half of it
+is, until each of those that show is found alone. What a number of zero is multiplied with shows nothing, so only a
+comparison in which it is not zero reaches it.
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ FEW, FIRST = 2, 10
 shows in the first of them."""
 
 ROBOTS = ("plant.robot.", "controller_model.")
+
+OF_TICKS = ("controller", "plant.robot.")
+"""Beginnings of the names of what random ticks depend on."""
 
 COPIED = (
     "aero_links.coefficients",
@@ -87,8 +91,8 @@ class _Reach:
         # Neighbours are alike, so by the golden ratio each section is far from those before it.
         flown = sections[ASTRAY:]
         flown = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]
-        self.comparisons: list[Callable[[Scenario], bool]] = [
-            *map(partial(partial, _are_others), parts, expected),
+        self.random: list[Callable[[Scenario], bool]] = list(map(partial(partial, _are_others), parts, expected))
+        self.flown: list[Callable[[Scenario], bool]] = [
             *(partial(is_another, section=section, ticks=FIRST) for section in sections[:ASTRAY]),
             *(partial(is_another, section=section) for section in (*sections[:ASTRAY], *flown)),
         ]
@@ -111,10 +115,18 @@ class _Reach:
                 left.append((name, of_numbers))
                 if zeros and of_zeros is not None:
                     left.append((name, of_zeros))
-        for comparison in self.comparisons:
-            left = self._not_shown(comparison, left)
+        others = [change for change in left if not change[0].startswith(OF_TICKS)]
+        left = self._left_by(self.random, [change for change in left if change[0].startswith(OF_TICKS)])
+        left = self._left_by(self.flown, left + others)
         unseen |= {name for name, _ in left}
         return [name for name in names if name in unseen]
+
+    def _left_by(self, comparisons: Sequence[Callable[[Scenario], bool]], made: list[Change]) -> list[Change]:
+        """Return the changes that show in none of these comparisons."""
+        for number, comparison in enumerate(comparisons):
+            parts = [made] if number else [[change] for change in made]
+            made = [change for part in parts for change in self._not_shown(comparison, part)]
+        return made
 
     def _not_shown(self, comparison: Callable[[Scenario], bool], made: list[Change]) -> list[Change]:
         """Return the changes that do not show: all if none does together, otherwise those of either half."""
