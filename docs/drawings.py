@@ -124,7 +124,7 @@ def angle_of_attack(axes: Axes, robot: RobotModel, kin: Kinematics) -> None:
     centre = (origins[link] + rotations[link] @ links.centres[link])[[0, 2]]
     axis = (rotations[link] @ links.axes[link])[[0, 2]]
     upstream = np.array([1.0, 0.0])
-    for direction, text, color in ((axis, "k", INK), (upstream, "upstream", WIND)):
+    for direction, text, color in ((axis, "link axis k", INK), (upstream, "upstream", WIND)):
         axes.annotate("", centre + 0.3 * direction, centre, arrowprops={"arrowstyle": "->", "color": color, "lw": 1.3})
         axes.text(
             *(centre + 0.33 * direction), text, color=color, ha="left" if color == WIND else "center", va="center"

@@ -10,9 +10,10 @@ from jax_aero.figures.entry import Entry
 
 LOOKS = {"recorded": (style.BLACK, "-"), "as flown": (style.ORANGE, "--"), "right": (style.BLUE, "-")}
 """Colour and dash of every source."""
+LABELS = {"right": "physically right"}
 
-PITCH = ("l_ankle_pitch", "l_knee", "torso_pitch")
-ROLL = ("l_ankle_roll", "l_hip_roll", "torso_roll")
+PITCH = {"l_ankle_pitch": "left ankle pitch", "l_knee": "left knee", "torso_pitch": "torso pitch"}
+ROLL = {"l_ankle_roll": "left ankle roll", "l_hip_roll": "left hip roll", "torso_roll": "torso roll"}
 
 
 def draw(study: xr.Dataset) -> Figure:
@@ -26,11 +27,12 @@ def draw(study: xr.Dataset) -> Figure:
         (study["aero_force"].sel(xyz=along), f"assumed force along {along} [N]"),
         (foot.sel(six=f"f{along}"), f"left foot, force along {along} [N]"),
         (foot.sel(six=moment), "left foot, moment [N m]"),
-        *((study["joint_torque"].sel(joint=name), f"{name.replace('_', ' ')} [N m]") for name in joints),
+        *((study["joint_torque"].sel(joint=name), f"{label}, desired [N m]") for name, label in joints.items()),
     ]
     for axes, (signal, label) in zip(grid.ravel(), panels, strict=True):
         for source, (colour, dash) in LOOKS.items():
-            axes.plot(study["time"], signal.sel(source=source), dash, color=colour, label=source, linewidth=0.9)
+            values = signal.sel(source=source)
+            axes.plot(study["time"], values, dash, color=colour, label=LABELS.get(source, source), linewidth=0.9)
         axes.set_ylabel(label)
     for axes in grid[1]:
         axes.set_xlabel("time [s]")
