@@ -13,7 +13,7 @@ from jax_aero.body.robot import load_robot
 from jax_aero.control import tick
 from jax_aero.control.measurement import Measurement
 from jax_aero.control.mpc.clearance import distances
-from jax_aero.control.mpc.horizon import Target, horizon
+from jax_aero.control.mpc.horizon import Horizon, Target, horizon
 from jax_aero.control.mpc.model import linearise
 from jax_aero.control.preview import Preview
 from jax_aero.types import Setpoint, State
@@ -169,3 +169,24 @@ def test_ticks_without_a_new_plan(flown, agree):
         agree("joint_velocity", command.joint_velocity[i], theirs.joint_velocity_command, TOLERANCE)
     assert command.degraded_modes.tolist() == modes
     assert {0, rust.MODES["plan_kept"], rust.MODES["plan_missing"]} == set(modes)
+
+
+def test_the_least_cost_on_the_way_is_that_of_many_points(x64):
+    """Of random costs, in which ways leave limits below and above."""
+    rng, inputs, values, shares = np.random.default_rng(0), 6, 12, np.linspace(0.0, 1.0, 20_001)
+    for _ in range(20):
+        factor, by_inputs = rng.normal(size=(inputs, inputs)), rng.normal(size=(values, inputs))
+        h, g, weight = factor @ factor.T, rng.normal(size=inputs), rng.uniform(1.0, 50.0, values)
+        free, start, end = rng.normal(size=values), rng.normal(size=inputs), rng.normal(size=inputs)
+        least, greatest = free - rng.uniform(0.2, 2.0, values), free + rng.uniform(0.2, 2.0, values)
+        none = np.zeros((1, 1, 1))
+        parts = (
+            *(jnp.asarray(part) for part in (h, g, by_inputs, none, none, none[0], free, least, greatest, weight)),
+            None,
+        )
+        found = float(Horizon(*parts).least_on_way(jnp.asarray(start), jnp.asarray(end)))
+        at = start + shares[:, None] * (end - start)
+        beyond = free + at @ by_inputs.T
+        beyond = beyond - np.clip(beyond, least, greatest)
+        cost = 0.5 * np.einsum("si,ij,sj->s", at, h, at) + at @ g + 0.5 * beyond**2 @ weight
+        assert abs(found - shares[np.argmin(cost)]) <= 1.0001 * shares[1]
