@@ -288,7 +288,8 @@ def fly_jax(flights: Flights, name: str) -> None:
 def verify(flights: Flights, name: str) -> None:
     """Compare the crate with JAX in it."""
     duration = f"simulator.duration={shortest(rust.load_config(name))}"
-    do("verify", "--config", name, "--set", duration, "--states", "3", "--out", flights.path(f"{name} verified", "v"))
+    changes = ("--quick", "--set", duration, "--states", "3")
+    do("verify", "--config", name, *changes, "--out", flights.path(f"{name} verified", "verify"))
 
 
 @action("experiments")
