@@ -218,6 +218,10 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert document["config"] == rust.config_digest(rust.load_config("test1"))[:12]
     assert "config: " in (tmp_path / "verify.md").read_text()
 
+    assert cli.main([*words, "--quick"]) == 0
+    assert json.loads((tmp_path / "verify.json").read_text())["not reached"] == ["not examined"]
+    capsys.readouterr()
+
     size["tick"] = 10.0
     assert cli.main(words) == 1
     printed = capsys.readouterr().out
