@@ -122,11 +122,11 @@ def test_a_flight_with_a_preview_of_the_wind(fly_both):
 
 @pytest.fixture(scope="module")
 def flown(x64):
-    """A flight with an engine that stops, which nothing finds, and the commands along it in any wind."""
+    """A flight that climbs as an engine stops, which nothing finds, and the commands along it in any wind."""
     failure = {"jet": "l_arm_jet", "kind": "off", "time": 0.2}
     changes = {"disturbances.jets": {"failure": failure}, "simulator.duration": 0.6}
     changes |= {"controller.fault_detection": {}, "controller.channels.jump": False}
-    changes |= {"disturbances.aero_estimate.scale": 3.0}
+    changes |= {"disturbances.aero_estimate.scale": 3.0, "mission.up": [[0.55, 17.0]]}
     table, robot, params = flight(changes | {"wind.ramp_start": -1.0, "wind.ramp_end": 0.3})
     log = rust.fly(table).log
     states = states_of(log)
