@@ -225,7 +225,7 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
         integral = 0.05 * rng.normal(size=n_joints)
         integral[rng.random(n_joints) < 0.2] = rng.choice([-INTEGRAL_LIMIT, INTEGRAL_LIMIT])
         memory = (posture, inertia, integral)
-        thrust, wind = rng.uniform(0.0, 1.1, n_jets) * robot.thrust_max, rng.normal(scale=8.0, size=3)
+        thrust, wind = rng.uniform(-0.1, 1.1, n_jets) * robot.thrust_max, rng.normal(scale=8.0, size=3)
         samples.append(Sample(state, thrust, wind, followed, memory))
     return samples
 
