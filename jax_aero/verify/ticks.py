@@ -17,13 +17,13 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.control import tick as control
 from jax_aero.control.state import ControllerState
 from jax_aero.control.tick import MomentumController
+from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.types import Setpoint, State
 from jax_aero.verify import (
     KERNEL_TOLERANCE,
     OF_SOLVERS,
     QP_TOLERANCE,
     SOLUTIONS,
-    UNOPTIMISED,
     Row,
     Sample,
     compare,
@@ -108,7 +108,7 @@ def _given(sample: Sample) -> tuple[State, Any, Any, Setpoint]:
     return State(*map(jnp.asarray, sample.state)), sample.thrust, sample.wind, followed
 
 
-@partial(jax.jit, compiler_options=UNOPTIMISED)
+@partial(jax.jit, compiler_options=COMPILER_OPTIONS)
 @count_sides
 def _twin_ticks(params: MomentumController, robot: RobotModel, batch: Any) -> dict[str, Any]:
     following = jax.tree.map(lambda leaf: jnp.roll(leaf, -1, axis=0), batch)
