@@ -195,3 +195,15 @@ def test_float32_answers_are_certified_and_as_low_as_that_guarantees(harvested, 
     # f(x) − f(x*) without the cancellation of two objectives: q(x)·d − ½ d·H d.
     above = np.sum(root * gradient * step, axis=1) - np.einsum("ki,kij,kj->k", step, problem.h, step) / 2
     measured("float32: objective above the minimum, of what that guarantees", np.max(above / guaranteed), 1.0)
+
+
+@pytest.mark.parametrize("size", [0.01, 100.0])
+def test_the_residual_away_from_the_minimum_is_the_crates(size):
+    """Of data less and more than one, which divides it."""
+    rng = np.random.default_rng(3)
+    factor = rng.normal(size=(5, 5))
+    problem = BoxQp(factor @ factor.T + np.eye(5), size * rng.normal(size=5), np.full(5, -size), np.full(5, 2.0 * size))
+    x = size * rng.uniform(-1.0, 2.0, 5)
+    expected = rust.kkt_residual(*problem, x)
+    assert expected > 0.001
+    np.testing.assert_allclose(qp.kkt_residual(problem, jnp.asarray(x)), expected, rtol=1e-12)

@@ -216,3 +216,12 @@ def test_half_a_request_is_not_waited_for(monkeypatch):
         server.handle_request()
         assert half.recv(100) == b""
         half.close()
+
+
+def test_a_revolved_profile_is_closed_with_outward_faces():
+    """By the divergence theorem: a double cone on a cylinder, below and above its origin."""
+    n, profile = 24, [(0.0, -2.0), (1.0, -1.0), (1.0, 1.0), (0.0, 2.0)]
+    solid = mesh.revolve(profile, n)
+    a, b, c = np.moveaxis(solid.vertices[solid.faces], 1, 0)
+    section = 0.5 * n * np.sin(2.0 * np.pi / n)
+    assert np.sum(np.einsum("fi,fi->f", a, np.cross(b, c))) / 6.0 == pytest.approx(section * (2.0 + 2.0 / 3.0))
