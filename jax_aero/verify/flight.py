@@ -3,7 +3,8 @@
 ```text
 tick    before each tick JAX's plant and what its controller is given are the crate's; it keeps its own memory of
         controller, sensors, engines and commands on their way; what it measures, its command and the state to which
-        that leads are compared with the crate's
+        that leads are compared with the crate's, until the memories of two controllers of the crate are apart of
+        which one is given what differs by a rounding
 astray  the same of flights whose controller is given wrong joint velocities and thrusts, until they are lost: joints
         reach their stops, torques their limits
 flight  nothing but the start is the crate's; compared until two flights of the crate that differ by a rounding in what
@@ -106,7 +107,7 @@ class Verified:
     rows
         Comparisons of all signals.
     ticks
-        Number of ticks compared: those before the crate's fault detection acts.
+        Number of ticks compared: those before the crate's fault detection acts, or a rounding decides.
     until
         Time up to which the flight from its start is compared [s].
     scenario, sections
@@ -132,10 +133,11 @@ def verify_flight(config: Mapping[str, Any], backend: str = "tree") -> Verified:
     crate, rounded_flight = rust.fly(config), _fly_rounded(config)
     with jax.enable_x64(True):
         scenario, start = prepare({**config, "simulator": {**config["simulator"], "dynamics": backend}})
-        sections = list(fly_sections(scenario, start, crate, max(ticks_unguarded(crate), 1)))
-        free = list(fly_sections(scenario, start, crate, ticks_reproducible(crate, rounded_flight), is_free=True))
+        ticks = max(min(ticks_unguarded(crate), ticks_reproducible(crate, _replay_rounded(config, crate))), 1)
+        sections = list(fly_sections(scenario, start, crate, ticks))
+        free = list(fly_sections(scenario, start, crate, ticks_reproducible(crate, rounded_flight.log), is_free=True))
     twin = join(crate, sections)
-    ticks, rows = compare_ticks(crate, twin, replay_rounded(config, crate, twin))
+    ticks, rows = compare_ticks(crate, twin, replay_rounded(config, crate, twin), ticks=ticks)
     sections_astray, rows_astray = verify_astray(config, scenario, start)
     until, rows_of_flight = compare_flight(crate, join(crate, free), rounded_flight)
     sections = [*sections_astray, *sections]
@@ -278,10 +280,7 @@ def replay_rounded(
     They are those of the controller, and the velocities to which its command leads. The torques of `twin` differ by the
     tolerance of a solution, which their own row judges; the velocities inherit it, those of an estimator too.
     """
-    rng, log = np.random.default_rng(0), crate.log
-    rounded = {name: round_numbers(rng, signal) for name, signal in log.items() if name.startswith("raw_")}
-    rounded["raw_base_rotation"] = round_rotation(rng, log["raw_base_rotation"])
-    signals = rust.replay(config, {**log, **rounded})
+    signals = _replay_rounded(config, crate)
     torque = signals["joint_torque"] - crate["joint_torque"]
     ticks = min(len(torque), len(twin["joint_torque"]))
     torque[:ticks] += twin["joint_torque"][:ticks] - crate["joint_torque"][:ticks]
@@ -292,20 +291,31 @@ def replay_rounded(
     return {**signals, "base_velocity": after[:, :6], "joint_velocity": after[:, 6:]}
 
 
+def _replay_rounded(config: Mapping[str, Any], crate: FlightResult) -> dict[str, NDArray[np.float64]]:
+    """Return the controller's signals in a flight of which it is given what differs by a rounding."""
+    rng, log = np.random.default_rng(0), crate.log
+    rounded = {name: round_numbers(rng, signal) for name, signal in log.items() if name.startswith("raw_")}
+    rounded["raw_base_rotation"] = round_rotation(rng, log["raw_base_rotation"])
+    return rust.replay(config, {**log, **rounded})
+
+
 def _estimate_under(
     config: Mapping[str, Any], crate: FlightResult, twin: FlightResult
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the velocities that the crate estimates on its flight where the commands of `twin` act, (ticks, x)."""
-    controller, rows = rust.Controller(config), []
+    """Return what the crate estimates on its flight where the commands of `twin` act: velocities and forces."""
+    controller, rows, forces = rust.Controller(config), [], []
     states, given = states_of(crate.log, "raw_"), (crate["raw_thrust"], crate["raw_wind"], crate["time"])
     for tick, (rates, torque) in enumerate(zip(twin["thrust_rate"], twin["joint_torque"], strict=True)):
         if tick == len(crate["time"]) or not np.isfinite([*rates, *torque]).all():
             break
         state = rust.State(*(np.asarray(part[tick]) for part in states))
-        rows.append(np.asarray(controller.tick(state, *(part[tick] for part in given)).estimates.state.velocity))
+        found = controller.tick(state, *(part[tick] for part in given))
+        rows.append(np.asarray(found.estimates.state.velocity))
+        forces.append(np.asarray(found.aero_force))
         controller.replace_command(rates, torque)
     velocity = np.stack(rows)
-    return {"measured_base_velocity": velocity[:, :6], "measured_joint_velocity": velocity[:, 6:]}
+    estimates = {"measured_base_velocity": velocity[:, :6], "measured_joint_velocity": velocity[:, 6:]}
+    return {**estimates, "aero_force_control": np.stack(forces)}
 
 
 def _round_velocities(
@@ -330,13 +340,17 @@ def _round_velocities(
 
 
 def compare_ticks(
-    crate: FlightResult, twin: FlightResult, rounded: Mapping[str, NDArray[np.float64]], group: str = "tick"
+    crate: FlightResult,
+    twin: FlightResult,
+    rounded: Mapping[str, NDArray[np.float64]],
+    group: str = "tick",
+    ticks: int | None = None,
 ) -> tuple[int, list[Row]]:
-    """Compare a flight with JAX's of the same ticks, up to the first in which fault detection acts, with their number.
+    """Compare a flight with JAX's of the same first ticks, and return their number.
 
-    `rounded` is what `replay_rounded` returns.
+    Without it, these are all up to the first in which fault detection acts. `rounded` is what `replay_rounded` returns.
     """
-    ticks = ticks_unguarded(crate)
+    ticks = ticks_unguarded(crate) if ticks is None else ticks
     # The crate's controller is given a measurement of a robot that has diverged astray; JAX's computes nothing there.
     last = 1 if group == "astray" and crate.outcome == "diverged" and ticks == len(crate["time"]) else 0
     rows = compare_signals(group, crate, twin.log, rounded, ticks - last)
@@ -376,7 +390,7 @@ def compare_signals(
 
 def compare_flight(crate: FlightResult, twin: FlightResult, rounded: FlightResult) -> tuple[float, list[Row]]:
     """Compare two flights until the crate's differs from its own `rounded` one; return that time too [s]."""
-    ticks = min(len(twin["time"]), ticks_reproducible(crate, rounded))
+    ticks = min(len(twin["time"]), ticks_reproducible(crate, rounded.log))
     rows = []
     for name in _of_flight(crate):
         theirs = crate[name][:ticks]
@@ -385,10 +399,10 @@ def compare_flight(crate: FlightResult, twin: FlightResult, rounded: FlightResul
     return float(crate["time"][ticks - 1]), rows
 
 
-def ticks_reproducible(crate: FlightResult, rounded: FlightResult) -> int:
-    """Return the number of ticks before the crate's flight differs from its own `rounded` one."""
-    ticks = min(len(flight["time"]) for flight in (crate, rounded))
-    names = _of_flight(crate)
+def ticks_reproducible(crate: FlightResult, rounded: Mapping[str, NDArray[np.float64]]) -> int:
+    """Return the number of ticks before the crate's flight differs from signals of its own `rounded` one."""
+    names = [name for name in _of_flight(crate) if name in rounded]
+    ticks = min(len(crate["time"]), len(rounded[names[0]]))
     near = (match_branch(name, rounded[name][:ticks], crate[name][:ticks]) for name in names)
     apart = np.max([differences(part, crate[name][:ticks]) for part, name in zip(near, names, strict=True)], axis=0)
     return int(np.argmax([*(apart > FLIGHT_TOLERANCE), True]))
