@@ -17,13 +17,14 @@ def draw(*studies: xr.Dataset) -> Figure:
     for study, colour, label in zip(studies, style.GROUP_COLOURS, ("gradients", "PPO"), strict=False):
         minutes = study["minutes"].mean("seed")
         reward = study["reward"]
+        seeds = reward.sizes["seed"]
         course.fill_between(minutes, reward.min("seed"), reward.max("seed"), color=colour, alpha=0.25, linewidth=0)
-        course.plot(minutes, reward.mean("seed"), color=colour, label=label)
+        course.plot(minutes, reward.mean("seed"), color=colour, label=f"{label}, {seeds} seed{'s' * (seeds > 1)}")
         speed = np.linalg.norm(study["wind"], axis=1)
         final.plot(speed, study["final_reward"].T, ".", markersize=3, color=colour)
     course.set_xlabel("processor time [min]")
     course.legend()
-    final.set_xlabel("wind [m/s]")
+    final.set_xlabel("wind [m/s], after training")
     for axes in (course, final):
         axes.set_ylabel("mean reward of an unseen episode")
         axes.set_ylim(0.0, 1.0)
