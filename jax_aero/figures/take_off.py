@@ -24,7 +24,11 @@ def draw(run: xr.Dataset) -> Figure:
     load_.plot(time, jets, color=style.VERMILION, label="sum of thrusts")
     load_.plot(time, feet, color=style.GREEN, label="vertical force of the feet", linewidth=0.9)
     load_.set_ylabel("load [N]")
-    load_.set_ylim(0.0, 1.3 * float(jets.max()))  # excludes the spike of one tick at the landing
+    top, most = 1.3 * float(jets.max()), float(feet.max())
+    load_.set_ylim(0.0, top)
+    if most > top:  # in one tick at the landing
+        at = float(time[feet.values.argmax()]), 0.6 * top
+        load_.annotate(f"to {most:.0f} N ", at, ha="right", fontsize=7, color=style.GREEN)
     panels.thrusts(thrust, run)
     panels.line(attitude, flown["rotation_error"], color=style.BLUE)
     attitude.set_ylim(bottom=0.0)
