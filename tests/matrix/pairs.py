@@ -255,19 +255,8 @@ def compare(flights: Flights, name: str) -> None:
 def snapshot(flights: Flights, name: str) -> None:
     """Draw its robot."""
     out = flights.path(f"{name} snapshot", "flight.png")
-    do(
-        "view",
-        "snapshot",
-        flights.flight(name),
-        "--renderer",
-        "pillow",
-        "--size",
-        "160x120",
-        "--at",
-        "0.1",
-        "--out",
-        out,
-    )
+    words = ["--renderer", "pillow", "--size", "160x120", "--at", "0.1", "--out"]
+    do("view", "snapshot", flights.flight(name), *words, out)
 
 
 @action("experiments", jax=True)

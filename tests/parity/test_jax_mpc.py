@@ -180,11 +180,8 @@ def test_the_least_cost_on_the_way_is_that_of_many_points(x64):
         free, start, end = rng.normal(size=values), rng.normal(size=inputs), rng.normal(size=inputs)
         least, greatest = free - rng.uniform(0.2, 2.0, values), free + rng.uniform(0.2, 2.0, values)
         none = np.zeros((1, 1, 1))
-        parts = (
-            *(jnp.asarray(part) for part in (h, g, by_inputs, none, none, none[0], free, least, greatest, weight)),
-            None,
-        )
-        found = float(Horizon(*parts).least_on_way(jnp.asarray(start), jnp.asarray(end)))
+        parts = map(jnp.asarray, (h, g, by_inputs, none, none, none[0], free, least, greatest, weight))
+        found = float(Horizon(*parts, None).least_on_way(jnp.asarray(start), jnp.asarray(end)))
         at = start + shares[:, None] * (end - start)
         beyond = free + at @ by_inputs.T
         beyond = beyond - np.clip(beyond, least, greatest)

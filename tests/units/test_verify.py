@@ -221,7 +221,6 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert cli.main([*words, "--quick"]) == 0
     assert json.loads((tmp_path / "verify.json").read_text())["not reached"] == ["not examined"]
     capsys.readouterr()
-
     size["tick"] = 10.0
     assert cli.main(words) == 1
     printed = capsys.readouterr().out
