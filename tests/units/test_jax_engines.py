@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from jax_aero.base import places
 from jax_aero.body import jets
 from jax_aero.body.robot import load_robot
+from jax_aero.body.shaft import wanted_speed
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -33,3 +36,18 @@ def test_thrusts_end_at_the_least_of_running_engines():
     found, after = jets.predict_thrust(thrust, jnp.zeros(7), rate, jnp.array(0.5), jnp.full(7, 11.0), None)
     np.testing.assert_array_equal(after, rate)
     np.testing.assert_array_equal(found, [15.0, 11.0, 13.0, 4.0, 5.0, 0.0, 0.0])
+
+
+def test_an_input_beyond_the_top_of_its_parabola_has_the_throttle_of_the_top():
+    bent = MODELS._replace(b_uu=jnp.array([-0.004, 0.0]))
+    top = jnp.array([125.0, 0.0])  # where 1 + 2 b_uu u is zero
+    for v in (62.5, 63.0, 1000.0):
+        found = jets.throttle_from_input(bent, jnp.array([v, v]))
+        np.testing.assert_allclose(found, top.at[1].set(v), rtol=1e-7)
+
+
+def test_a_shaft_is_asked_for_speeds_from_idle_to_full():
+    shaft = SimpleNamespace(idle=0.3)
+    np.testing.assert_allclose(
+        wanted_speed(shaft, jnp.array([-1.0, 0.0, 50.0, 100.0, 101.0])), [0.3, 0.3, 0.65, 1.0, 1.0]
+    )
