@@ -51,3 +51,17 @@ def test_a_shaft_is_asked_for_speeds_from_idle_to_full():
     np.testing.assert_allclose(
         wanted_speed(shaft, jnp.array([-1.0, 0.0, 50.0, 100.0, 101.0])), [0.3, 0.3, 0.65, 1.0, 1.0]
     )
+
+
+def test_a_throttle_below_the_least_is_the_least():
+    idling, thrust = MODELS._replace(throttle_min=jnp.full(2, 10.0)), jnp.array([60.0, 70.0])
+    below, least = jnp.full(2, 5.0), jnp.full(2, 10.0)
+
+    def estimated(engines, throttle):
+        model = jets.SecondOrderJets(engines, jnp.zeros(2), False)
+        return jets.update_ekf(model, model.start(thrust)[2], thrust, throttle, STEP)[1]
+
+    for found in (lambda e, throttle: jets.thrust_acceleration(e, thrust, 0.0 * thrust, throttle), estimated):
+        np.testing.assert_array_equal(found(idling, below), found(MODELS, least))
+        assert (found(MODELS, least) != found(MODELS, below)).any()
+    np.testing.assert_array_equal(jets.steady_throttle(idling, jnp.zeros(2)), least)
