@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -65,3 +66,28 @@ def test_a_throttle_below_the_least_is_the_least():
         np.testing.assert_array_equal(found(idling, below), found(MODELS, least))
         assert (found(MODELS, least) != found(MODELS, below)).any()
     np.testing.assert_array_equal(jets.steady_throttle(idling, jnp.zeros(2)), least)
+
+
+def test_the_filter_of_an_engine_is_that_of_its_linearised_dynamics():
+    """Kalman's equations, with the derivatives of `T̈` by automatic differentiation."""
+    model, throttle, measured = (
+        jets.SecondOrderJets(MODELS, jnp.zeros(2), False),
+        jnp.array([40.0, 60.0]),
+        jnp.array([64.0, 65.0]),
+    )
+    before = jets.EngineState(
+        throttle, jnp.array([[60.0, 5.0], [70.0, -8.0]]), jnp.tile(jnp.array([[4.0, 0.5], [0.5, 9.0]]), (2, 1, 1))
+    )
+    estimate, covariance = jets.update_ekf(model, before, measured, throttle, STEP)
+    for j in range(2):
+        p, c = before.covariance[j], jnp.array([1.0, 0.0])
+        gain = p @ c / (c @ p @ c + jets.R / STEP)
+        x, p = before.estimate[j] + gain * (measured[j] - before.estimate[j, 0]), p - jnp.outer(gain, c @ p)
+
+        def flow(x, j=j):
+            at = jnp.tile(x, (2, 1))
+            return jnp.stack([x[1], jets.thrust_acceleration(MODELS, at[:, 0], at[:, 1], throttle)[j]])
+
+        phi = jnp.eye(2) + STEP * jax.jacfwd(flow)(x)
+        np.testing.assert_allclose(estimate[j], x + STEP * flow(x), rtol=1e-12)
+        np.testing.assert_allclose(covariance[j], phi @ p @ phi.T + STEP * jnp.asarray(jets.Q), rtol=1e-12)
