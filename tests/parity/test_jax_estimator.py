@@ -11,6 +11,7 @@ from jax_aero import rust
 from jax_aero.aero import aero_model
 from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import load_robot
+from jax_aero.config import LatencyConfig
 from jax_aero.control import Measurement
 from jax_aero.control.estimate import estimator
 from jax_aero.control.estimate.estimator import Order
@@ -116,3 +117,7 @@ def test_the_estimator_follows_a_command_that_is_replaced(alone):
     np.testing.assert_array_equal(replaced.joint_torque, torque)
     np.testing.assert_allclose(after.estimator.orders.torque[0], torque, rtol=1e-15)
     np.testing.assert_array_equal(after.joint_torque, command.joint_torque)
+
+
+def test_latencies_are_whole_ticks_and_what_is_left():
+    assert estimator.latency_in_ticks(LatencyConfig(torque=0.0125, thrust=0.0275), 0.01) == (1, (0.25, 1.75))

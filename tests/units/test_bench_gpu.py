@@ -44,8 +44,7 @@ def test_kernels_calls_and_bytes_are_counted_loop_by_loop():
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"),
-    [("HloModule a", "no entry"), (PROGRAM.replace("fusion(", "call("), "fusion.1 is a call")],
+    ("text", "reason"), [("HloModule a", "no entry"), (PROGRAM.replace("fusion(", "call("), "fusion.1 is a call")]
 )
 def test_what_is_not_understood_is_refused(text, reason):
     with pytest.raises(ValueError, match=reason):

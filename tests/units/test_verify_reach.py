@@ -205,11 +205,7 @@ def test_the_flight_with_everything_reaches_everything(flown):
 
 def choose(x):
     y = jnp.where(x > 0.0, x, -x)
-    return jnp.where(
-        x > 5.0,
-        y,
-        2.0 * y,
-    )
+    return jnp.where(x > 5.0, y, 2.0 * y)
 
 
 def loop(x):
