@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -126,3 +127,15 @@ def test_float32_setpoints_stay_within_a_millimetre_and_a_hundredth_of_a_degree(
         "com_position against the resampled one", np.max(np.abs(found["com_position"] - theirs["com_position"])), 1e-3
     )
     measured("rotation against the resampled one", np.max(np.abs(found["rotation"] - theirs["rotation"])), 2e-4)
+
+
+def test_a_set_point_later_is_the_integral_of_its_derivatives(x64):
+    """Each derivative is that of what it integrates, at 0.3 s, and that of the rotation at 0."""
+    vectors = np.random.default_rng(2).normal(size=(7, 3))
+    given = setpoint.Setpoint(*vectors[:4], np.eye(3), *vectors[4:])
+    at, rate = jax.jvp(lambda time: setpoint.after(given, time), (0.3,), (1.0,))
+    names = setpoint.Setpoint._fields
+    for low, high in (*itertools.pairwise(names[:4]), *itertools.pairwise(names[5:])):
+        np.testing.assert_allclose(getattr(rate, low), getattr(at, high), rtol=1e-12, err_msg=low)
+    turning = jax.jvp(lambda time: setpoint.after(given, time).rotation, (0.0,), (1.0,))[1]
+    np.testing.assert_allclose(turning[[2, 0, 1], [1, 2, 0]], given.angular_velocity, rtol=1e-12)
