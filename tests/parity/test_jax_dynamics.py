@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
+from jax_aero.base import places
 from jax_aero.body.dynamics import accelerate, add_joint_inertia, dynamics, forward_dynamics, invert_mass
-from jax_aero.body.kinematics import kinematics
+from jax_aero.body.kinematics import generalised_force, kinematics, kinematics_at_rest
 from jax_aero.body.robot import load_robot
 from jax_aero.types import State
 from tests.measurements import measured
@@ -92,3 +93,20 @@ def test_the_inverse_of_the_mass_matrix(jax_robot, states, rotors):
             error = np.abs(found.T @ matrix - np.eye(6 + n)).max()
             # Of the inverse and of the product.
             measured("inverse mass matrix", error, 2.0 * (6 + n) * np.finfo(float).eps * np.linalg.cond(matrix))
+
+
+@pytest.mark.parametrize("name", ["slider", "sparrow"])
+def test_generalised_forces_are_the_work_of_forces_by_joint(name, x64):
+    """The derivative of `Σ f · p` by the joints, revolute and prismatic, with points that move with their bodies."""
+    robot, rng = load_robot(places.find("robot", name)), np.random.default_rng(4)
+    bodies = tuple(range(len(robot.masses)))
+    offsets, forces = rng.normal(size=(2, len(bodies), 3))
+    joints = rng.uniform(-0.5, 0.5, robot.n_joints)
+
+    def points(joints):
+        kin = kinematics_at_rest(robot, joints)
+        return kin, kin.body_positions + jnp.einsum("bij,bj->bi", kin.body_rotations, offsets)
+
+    expected = jax.grad(lambda joints: jnp.sum(forces * points(joints)[1]))(joints)
+    found = generalised_force(robot, *points(joints)[:1], bodies, points(joints)[1], jnp.asarray(forces))
+    np.testing.assert_allclose(found[6:], expected, rtol=1e-10, atol=1e-12)
