@@ -188,16 +188,13 @@ def replace_values(tree: Tree, values: Mapping[str, Any]) -> Tree:
 
 def value_names(tree: Any) -> list[str]:
     """Return the names of a scenario, or of a part of it, whose numbers `replace_values` replaces."""
-
-    def is_accepted(name: str, leaf: Any) -> bool:
+    accepted = []
+    for path, value in jax.tree_util.tree_leaves_with_path(tree):
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
         with suppress(ValueError):
-            replace_values(tree, {name: leaf})
-            return True
-        return False
-
-    leaves = jax.tree_util.tree_leaves_with_path(tree)
-    named = [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in leaves]
-    return [name for name, leaf in named if is_accepted(name, leaf)]
+            replace_values(tree, {name: value})
+            accepted.append(name)
+    return accepted
 
 
 def _replace_value(node: Any, path: list[str], name: str, value: Any) -> Any:

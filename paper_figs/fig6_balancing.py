@@ -24,7 +24,6 @@ from jax_aero.figures.entry import Entry
 RECORDS = {"balancing_front": "standing_front_2", "balancing_lateral": "standing_lateral"}
 """The record of the run of a name, and of one that begins with it."""
 PALE: dict[str, Any] = {"alpha": 0.4, "linewidth": 1.8}
-PALE_IS = "pale: the real robot (in i our model with its joints); joints of the left leg; the true wind is zero"
 
 CALM = (4.0, 9.0)
 """Time before the wind [s]."""
@@ -53,7 +52,7 @@ def _experiment(figure: FigureBase, run: xr.Dataset, letters: str) -> None:
     flown, record = flights.until_loss(run), _record(run.attrs["name"])
     style.title(figure, run.attrs["title"], size=8.5)
     if record:
-        style.footnote(figure, PALE_IS)
+        style.footnote(figure, "pale: the real robot (in i our model with its joints); left leg; the true wind is zero")
     grid = figure.subplots(2, 3, sharex=True)
     com = flown["com_position"]
     moved = com.attrs | {"label": "CoM displacement", "shown": "mm"}

@@ -71,6 +71,10 @@ WRONG_SPEED, WRONG_THRUST = 3.0, (0.3, 1.5)
 """Error of the measured joint velocities of a flight astray [rad/s, m/s], and ratio of its thrusts to the true ones."""
 
 
+Signals = Mapping[str, NDArray[np.float64]]
+"""Rows of signals by their names."""
+
+
 class Logged(NamedTuple):
     """What JAX takes from the crate's log, for one tick or along a first axis."""
 
@@ -133,11 +137,12 @@ def verify_flight(config: Mapping[str, Any], backend: str = "tree") -> Verified:
     crate, rounded_flight = rust.fly(config), _fly_rounded(config)
     with jax.enable_x64(True):
         scenario, start = prepare({**config, "simulator": {**config["simulator"], "dynamics": backend}})
-        ticks = max(min(ticks_unguarded(crate), ticks_reproducible(crate, _replay_rounded(config, crate))), 1)
+        replayed = _replay_rounded(config, crate)
+        ticks = max(min(ticks_unguarded(crate), ticks_reproducible(crate, replayed)), 1)
         sections = list(fly_sections(scenario, start, crate, ticks))
         free = list(fly_sections(scenario, start, crate, ticks_reproducible(crate, rounded_flight.log), is_free=True))
     twin = join(crate, sections)
-    ticks, rows = compare_ticks(crate, twin, replay_rounded(config, crate, twin), ticks=ticks)
+    ticks, rows = compare_ticks(crate, twin, replay_rounded(config, crate, twin, replayed), ticks=ticks)
     sections_astray, rows_astray = verify_astray(config, scenario, start)
     until, rows_of_flight = compare_flight(crate, join(crate, free), rounded_flight)
     sections = [*sections_astray, *sections]
@@ -273,14 +278,14 @@ _fly_once = jax.jit(count_sides(_fly_ticks), compiler_options=COMPILER_OPTIONS |
 
 
 def replay_rounded(
-    config: Mapping[str, Any], crate: FlightResult, twin: FlightResult
-) -> dict[str, NDArray[np.float64]]:
+    config: Mapping[str, Any], crate: FlightResult, twin: FlightResult, replayed: Signals | None = None
+) -> Signals:
     """Return signals of the crate's flight, every tick of it given what differs by a rounding.
 
-    They are those of the controller, and the velocities to which its command leads. The torques of `twin` differ by the
-    tolerance of a solution, which their own row judges; the velocities inherit it, those of an estimator too.
+    They are those of the controller, `replayed`, and the velocities to which its command leads. The torques of `twin`
+    differ by the tolerance of a solution, which their own row judges; velocities inherit it, those of an estimator too.
     """
-    signals = _replay_rounded(config, crate)
+    signals = {name: np.array(rows) for name, rows in (replayed or _replay_rounded(config, crate)).items()}
     torque = signals["joint_torque"] - crate["joint_torque"]
     ticks = min(len(torque), len(twin["joint_torque"]))
     torque[:ticks] += twin["joint_torque"][:ticks] - crate["joint_torque"][:ticks]
@@ -291,7 +296,7 @@ def replay_rounded(
     return {**signals, "base_velocity": after[:, :6], "joint_velocity": after[:, 6:]}
 
 
-def _replay_rounded(config: Mapping[str, Any], crate: FlightResult) -> dict[str, NDArray[np.float64]]:
+def _replay_rounded(config: Mapping[str, Any], crate: FlightResult) -> Signals:
     """Return the controller's signals in a flight of which it is given what differs by a rounding."""
     rng, log = np.random.default_rng(0), crate.log
     rounded = {name: round_numbers(rng, signal) for name, signal in log.items() if name.startswith("raw_")}
@@ -299,9 +304,7 @@ def _replay_rounded(config: Mapping[str, Any], crate: FlightResult) -> dict[str,
     return rust.replay(config, {**log, **rounded})
 
 
-def _estimate_under(
-    config: Mapping[str, Any], crate: FlightResult, twin: FlightResult
-) -> dict[str, NDArray[np.float64]]:
+def _estimate_under(config: Mapping[str, Any], crate: FlightResult, twin: FlightResult) -> Signals:
     """Return what the crate estimates on its flight where the commands of `twin` act: velocities and forces."""
     controller, rows, forces = rust.Controller(config), [], []
     states, given = states_of(crate.log, "raw_"), (crate["raw_thrust"], crate["raw_wind"], crate["time"])
@@ -342,13 +345,13 @@ def _round_velocities(
 def compare_ticks(
     crate: FlightResult,
     twin: FlightResult,
-    rounded: Mapping[str, NDArray[np.float64]],
+    rounded: Signals,
     group: str = "tick",
     ticks: int | None = None,
 ) -> tuple[int, list[Row]]:
     """Compare a flight with JAX's of the same first ticks, and return their number.
 
-    Without it, these are all up to the first in which fault detection acts. `rounded` is what `replay_rounded` returns.
+    Without `ticks`, all up to the first in which fault detection acts. `rounded` is what `replay_rounded` returns.
     """
     ticks = ticks_unguarded(crate) if ticks is None else ticks
     # The crate's controller is given a measurement of a robot that has diverged astray; JAX's computes nothing there.
@@ -369,8 +372,8 @@ def ticks_unguarded(crate: FlightResult) -> int:
 def compare_signals(
     group: str,
     crate: FlightResult,
-    twin: Mapping[str, NDArray[np.float64]],
-    rounded: Mapping[str, NDArray[np.float64]],
+    twin: Signals,
+    rounded: Signals,
     ticks: int,
 ) -> list[Row]:
     """Compare the first ticks of all signals of the crate that JAX has computed."""
@@ -399,7 +402,7 @@ def compare_flight(crate: FlightResult, twin: FlightResult, rounded: FlightResul
     return float(crate["time"][ticks - 1]), rows
 
 
-def ticks_reproducible(crate: FlightResult, rounded: Mapping[str, NDArray[np.float64]]) -> int:
+def ticks_reproducible(crate: FlightResult, rounded: Signals) -> int:
     """Return the number of ticks before the crate's flight differs from signals of its own `rounded` one."""
     names = [name for name in _of_flight(crate) if name in rounded]
     ticks = min(len(crate["time"]), len(rounded[names[0]]))

@@ -23,9 +23,6 @@ INK: Colour = (32, 36, 44)
 SOFT: Colour = (88, 94, 104)
 PAPER: Colour = (255, 255, 255)
 
-OUT = 0.03
-"""Thrust of an engine that has stopped, as a share of the greatest one."""
-
 
 @functools.lru_cache
 def font(size: int) -> Any:
@@ -134,8 +131,8 @@ def rotation_error(now: Instant) -> str:
 
 
 def stopped(now: Instant) -> str:
-    """Return how many engines have stopped in words, or nothing."""
-    count = int(np.sum(now.thrust < OUT * np.max(now.thrust)))
+    """Return in words how many engines have stopped, with less than 3 % of the greatest thrust, or nothing."""
+    count = int(np.sum(now.thrust < 0.03 * np.max(now.thrust)))
     return f"{count} of {len(now.thrust)} engines stopped" if count else ""
 
 

@@ -63,13 +63,8 @@ def test_the_manifest_says_all_and_names_no_path_of_this_machine(flown, tmp_path
 
 def test_what_is_probably_not_meant_is_warned_of_and_stored(flown, tmp_path):
     for pitch, count in ((10, 1), (-10, 0)):
-        words = [
-            "test2",
-            "--set",
-            f"simulator.initial.base_rpy_deg=[0,{pitch},180]",
-            "--out",
-            str(tmp_path / str(pitch)),
-        ]
+        pose = f"simulator.initial.base_rpy_deg=[0,{pitch},180]"
+        words = ["test2", "--set", pose, "--out", str(tmp_path / str(pitch))]
         with warnings.catch_warnings(record=True) as raised:
             warnings.simplefilter("always")
             assert main(words) == 0

@@ -16,8 +16,7 @@ def draw(*studies: xr.Dataset) -> Figure:
     course, final = figure.subplots(1, 2)
     for study, colour, label in zip(studies, style.GROUP_COLOURS, ("gradients", "PPO"), strict=False):
         minutes = study["minutes"].mean("seed")
-        reward = study["reward"]
-        seeds = reward.sizes["seed"]
+        reward, seeds = study["reward"], study.sizes["seed"]
         course.fill_between(minutes, reward.min("seed"), reward.max("seed"), color=colour, alpha=0.25, linewidth=0)
         course.plot(minutes, reward.mean("seed"), color=colour, label=f"{label}, {seeds} seed{'s' * (seeds > 1)}")
         speed = np.linalg.norm(study["wind"], axis=1)
