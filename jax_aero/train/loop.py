@@ -1,4 +1,8 @@
-"""The training loop: epochs of minibatches, validation without dropout, checkpoints."""
+"""The training loop: epochs of minibatches, validation without dropout, checkpoints.
+
+What the outputs of a network are compared with is an `Objective`: the force areas of rows (`ForceAreas`), or wrenches
+that were observed in flights (`jax_aero.train.wrench.ObservedWrenches`).
+"""
 
 from __future__ import annotations
 
@@ -7,14 +11,15 @@ import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
+from jaxtyping import Float
 
 from jax_aero.aero.network import BLOCKS, Layer, Network, block_sizes, raw_output
 from jax_aero.base import plain_values, tables
@@ -73,13 +78,74 @@ class FitResult(NamedTuple):
 
     network: Network
     error: float | None
-    """Validation loss of the network [m⁴]; `None` without validation."""
+    """Validation loss of the network [m⁴ or the objective's unit]; `None` without validation."""
     curves: tuple[Curve, ...]
     """Loss curves, one entry per validation."""
     epochs: int
     """Number of completed epochs."""
     seconds_per_epoch: float
     """Seconds per epoch of this call, without the first epoch, which compiles, if there are more."""
+    others: Any = ()
+    """What was trained beside the network, `Objective.others`."""
+
+
+class Objective(Protocol):
+    """What a training compares the outputs of a network with; hashable, since it is part of what is compiled."""
+
+    def scaled(self, network: Network, training: Any) -> Network:
+        """Return the network with the scale and offset of its outputs, where the settings want them."""
+
+    def others(self, training: Any) -> Any:
+        """Return the initial values of what is trained beside the layers, a pytree."""
+
+    def given(self, network: Network, training: Any) -> tuple[Any, Any]:
+        """Return what outputs are compared with, by row, and what is the same for all rows; pytrees of arrays."""
+
+    def loss(self, output: Float[Array, "m B *copies y"], rows: Any, common: Any, others: Any) -> Array:
+        """Return the loss of a batch from outputs before scaling, as by `batch_output`."""
+
+    def unit(self, network: Network) -> float:
+        """Return the unit of `loss` in that of curves."""
+
+    def error(self, network: Network, others: Any, validation: Any) -> float:
+        """Return the validation loss of a network as it flies."""
+
+
+@dataclass(frozen=True)
+class ForceAreas:
+    """Force areas of the links, row by row: the paper's mean squared error [m⁴]."""
+
+    def scaled(self, network: Network, training: Samples) -> Network:
+        """Scale by the spread of all targets, about the mean of each."""
+        offset = training.y.mean(axis=0)
+        scale = np.full_like(offset, training.y.std())
+        return replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
+
+    def others(self, training: Samples) -> tuple[()]:
+        """Train the layers alone."""
+        del training
+        return ()
+
+    def given(self, network: Network, training: Samples) -> tuple[Any, Any]:
+        """Return the targets before scaling."""
+        return jnp.asarray((training.y - network.offset) / network.scale), ()
+
+    def loss(self, output: Float[Array, "m B y"], rows: Float[Array, "B y"], common: Any, others: Any) -> Array:
+        """Return the mean squared error."""
+        del common, others
+        return mean_squared_error(output, rows)
+
+    def unit(self, network: Network) -> float:
+        """Return the square of the scale [m⁴]."""
+        return float(network.scale[0]) ** 2
+
+    def error(self, network: Network, others: Any, validation: Samples) -> float:
+        """Return the mean squared error [m⁴]."""
+        del others
+        return validation_error(network, validation)
+
+
+FORCE_AREAS = ForceAreas()
 
 
 class Interrupted(KeyboardInterrupt):
@@ -89,6 +155,7 @@ class Interrupted(KeyboardInterrupt):
 @pytree
 class _State:
     layers: tuple[Layer, ...]
+    others: Any
     adam: AdamState
 
 
@@ -102,11 +169,12 @@ class _Now(NamedTuple):
 
 def fit(
     network: Network,
-    training: Samples,
-    validation: Samples | None,
+    training: Any,
+    validation: Any,
     settings: Settings,
     seed: int,
     *,
+    objective: Objective = FORCE_AREAS,
     checkpoint: Path | None = None,
     checkpoint_seconds: float = 30.0,
     on_epoch: Callable[[int, float, float | None], None] | None = None,
@@ -118,7 +186,8 @@ def fit(
     network
         Network with the initial weights; scale and offset are set from the training samples if the settings say so.
     training, validation
-        Samples, with mirror images if wanted.
+        Samples of the objective, with mirror images if wanted: tuples of arrays whose first axis is that of rows, `x`
+        the features. The latter may be `None`.
     seed
         Seed of the order of rows, dropout and noise.
     on_epoch
@@ -136,37 +205,34 @@ def fit(
     batch = settings.batch or count
     if batch > count:
         raise ValueError(f"`batch` is {batch}; there are {count} rows")
-    if settings.scale_output:  # by the spread of all targets, about the mean of each
-        offset = training.y.mean(axis=0)
-        scale = np.full_like(offset, training.y.std())
-        network = replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
-    digest = _digest(network, training, validation, settings, seed)
-    now = _Now(_State(network.layers, adam_start(network.layers)), 0, ())
+    if settings.scale_output:
+        network = objective.scaled(network, training)
+    digest = _digest(network, training, validation, settings, seed, objective)
+    others = objective.others(training)
+    now = _Now(_State(network.layers, others, adam_start((network.layers, others))), 0, ())
     if checkpoint is not None and (found := load_checkpoint(checkpoint, digest, now.state)):
         curves = tuple((row[0], row[1], row[2]) for row in found.facts["curves"])
         now = _Now(found.state, found.facts["epoch"], curves)
-    data = (jnp.asarray(training.x), jnp.asarray((training.y - network.offset) / network.scale))
+    data = (jnp.asarray(training.x), *objective.given(network, training))
     noise = _noise(network, settings)
-    run = functools.partial(_epoch, settings, network.activation, batch)
-    unit = float(network.scale[0]) ** 2
+    run = functools.partial(_epoch, settings, objective, network.activation, batch)
+    unit = objective.unit(network)
     times: list[float] = []
     saved = time.perf_counter()
     with jax.default_matmul_precision(MATMUL[settings.matmul]):
         try:
             while now.epoch < settings.epochs:
                 started = time.perf_counter()
-                layers, adam, loss = run(
-                    now.state.layers, now.state.adam, data, noise, jnp.uint32(seed), jnp.uint32(now.epoch)
-                )
+                state, loss = run(now.state, data, noise, jnp.uint32(seed), jnp.uint32(now.epoch))
                 train_error, error = float(loss) * unit, None
                 if not np.isfinite(train_error):
                     raise FloatingPointError(f"training loss is {train_error} in epoch {now.epoch + 1}: rate too large")
                 is_due = (now.epoch + 1) % settings.validate_every == 0 or now.epoch + 1 == settings.epochs
                 if validation is not None and is_due:
-                    error = validation_error(replace(network, layers=layers), validation)
+                    error = objective.error(replace(network, layers=state.layers), state.others, validation)
                 # One assignment, so that an interruption leaves the last complete epoch.
                 seen = ((now.epoch + 1, train_error, error),) if is_due else ()
-                now = _Now(_State(layers, adam), now.epoch + 1, (*now.curves, *seen))
+                now = _Now(state, now.epoch + 1, (*now.curves, *seen))
                 times.append(time.perf_counter() - started)
                 if on_epoch is not None:
                     on_epoch(now.epoch, train_error, error)
@@ -180,7 +246,7 @@ def fit(
     if checkpoint is not None:
         _keep(checkpoint, digest, now)
     trained, steady = replace(network, layers=now.state.layers), times[1:] or times or [0.0]
-    return FitResult(trained, now.curves[-1][2], now.curves, now.epoch, float(np.mean(steady)))
+    return FitResult(trained, now.curves[-1][2], now.curves, now.epoch, float(np.mean(steady)), now.state.others)
 
 
 def _keep(path: Path, digest: str, now: _Now) -> None:
@@ -206,44 +272,48 @@ def _sum_of_squares(network: Network, x: Array, y: Array, count: int) -> Array:
     return jnp.sum(jnp.where(jnp.arange(len(squares)) < count, squares, 0.0))
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2))
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
 def _epoch(
     settings: Settings,
+    objective: Objective,
     activation: str,
     batch: int,
-    layers: tuple[Layer, ...],
-    adam: AdamState,
-    data: tuple[Array, Array],
+    state: _State,
+    data: tuple[Array, Any, Any],
     noise: Array,
     seed: Array,
     epoch: Array,
-) -> tuple[tuple[Layer, ...], AdamState, Array]:
+) -> tuple[_State, Array]:
     """Train on all data once; random numbers depend only on seed and epoch."""
-    x, y = data
+    x, given, common = data
     steps = x.shape[0] // batch
     key = jax.random.fold_in(jax.random.key(seed), epoch)
     order_key, noise_key = jax.random.split(key)
     order = jax.random.permutation(order_key, x.shape[0]) if batch < x.shape[0] else jnp.arange(x.shape[0])
 
-    def loss(layers: tuple[Layer, ...], rows: Array, key: Array) -> Array:
+    def loss(trained: Any, rows: Array, key: Array) -> Array:
+        layers, others = trained
         for_noise, for_dropout = jax.random.split(key)
         seen = x[rows]
         if settings.noise:
             seen = seen + noise * jax.random.normal(for_noise, seen.shape, seen.dtype)
-        output = batch_output(layers, activation, seen, for_dropout, settings.dropout)
-        return mean_squared_error(output, y[rows])
+        flat = seen.reshape(-1, seen.shape[-1])
+        output = batch_output(layers, activation, flat, for_dropout, settings.dropout)
+        output = output.reshape(output.shape[0], *seen.shape[:-1], output.shape[-1])
+        return objective.loss(output, jax.tree.map(lambda leaf: leaf[rows], given), common, others)
 
-    def step(carry: Any, entry: Any) -> tuple[Any, Array]:
-        layers, adam = carry
+    def step(state: _State, entry: Any) -> tuple[_State, Array]:
         index, rows = entry
-        value, gradient = jax.value_and_grad(loss)(layers, rows, jax.random.fold_in(noise_key, index))
-        rate = _rate(settings, adam.count, steps)
-        adam, layers = adam_step(adam, layers, gradient, rate, beta2=settings.beta2, weight_decay=settings.weight_decay)
-        return (layers, adam), value
+        trained = (state.layers, state.others)
+        value, gradient = jax.value_and_grad(loss)(trained, rows, jax.random.fold_in(noise_key, index))
+        rate = _rate(settings, state.adam.count, steps)
+        options = {"beta2": settings.beta2, "weight_decay": settings.weight_decay}
+        adam, (layers, others) = adam_step(state.adam, trained, gradient, rate, **options)
+        return _State(layers, others, adam), value
 
     rows = order[: steps * batch].reshape(steps, batch)
-    (layers, adam), losses = jax.lax.scan(step, (layers, adam), (jnp.arange(steps), rows))
-    return layers, adam, losses.mean()
+    state, losses = jax.lax.scan(step, state, (jnp.arange(steps), rows))
+    return state, losses.mean()
 
 
 def _rate(settings: Settings, count: Array, steps_per_epoch: int) -> Array:
@@ -263,10 +333,12 @@ def _noise(network: Network, settings: Settings) -> Array:
     return jnp.asarray(np.concatenate(parts))
 
 
-def _digest(network: Network, training: Samples, validation: Samples | None, settings: Settings, seed: int) -> str:
+def _digest(
+    network: Network, training: Any, validation: Any, settings: Settings, seed: int, objective: Objective
+) -> str:
     total = hashlib.sha256(json.dumps([plain_values.to_builtins(settings), ERROR_UNIT, seed], sort_keys=True).encode())
-    shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
+    shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None, objective)
     total.update(repr(shape).encode())
-    for array in (*training, *(validation or ()), *jax.tree.leaves(network.layers)):
+    for array in jax.tree.leaves((training, validation, network.layers)):
         total.update(np.ascontiguousarray(array).tobytes())
     return total.hexdigest()
