@@ -183,6 +183,17 @@ def project_to_so3(near: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3
     return r
 
 
+def nearest_rotation(near: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the rotations `U diag(1, 1, det UV) V` that have the least distance to matrices `U Σ V`, of NumPy.
+
+    Unlike `project_to_so3` of any matrices; NaN where one holds NaN.
+    """
+    is_known = np.isfinite(near).all(axis=(-2, -1))[..., None, None]
+    left, _, right = np.linalg.svd(np.where(is_known, near, np.eye(3)))
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[..., None]
+    return np.where(is_known, left @ right, np.nan)
+
+
 def rotation_from_wxyz(wxyz: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
     """Return the rotation of a quaternion `wxyz`, which is normalised first."""
     xp = namespace(wxyz)

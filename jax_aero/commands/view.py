@@ -192,14 +192,14 @@ def _add_common_options(parser: Parser, out: Path, size: str) -> None:
 
 def _read(result: str | Path, given: Any) -> recording.Recording:
     """Read a flight's result, or a log of a robot."""
-    from jax_aero.view import logs, matlab
+    from jax_aero.view import logs, matlab, measured
 
     path = Path(result)
     if path.suffix.lower() == ".mat" and given.map is None:
         return matlab.read_recording(path, given.robot)
     if path.suffix.lower() in logs.FORMATS:
         config = None if given.experiment is None else rust.load_config(given.experiment)
-        return logs.read_flight(path, config, given.map, given.robot)
+        return measured.read_flight(path, config, given.map, given.robot)
     return recording.read(result, given.robot)
 
 

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
 from jax_aero.base.terminal import Refused
-from jax_aero.replay import on_its_feet
+from jax_aero.body.spatial import nearest_rotation
 from jax_aero.train.identify import WIDTH, Samples
-from jax_aero.view import logs
+from jax_aero.view import logs, measured
 
 Array = NDArray[np.float64]
 
@@ -56,9 +56,9 @@ def read(path: Path, mapping: Path | None, config: rust.Config, robot_file: str)
     Refused
         For a log that lacks a signal, or is short.
     """
-    robot, period = rust.Robot(robot_file), float(config["controller"]["time_step"])
-    log = on_its_feet(logs.read(path, config, mapping, robot_file), config)
-    return check(logs.at_ticks(log, robot, period, path).signals, str(path), robot)
+    config = {**config, "robot": robot_file}
+    found = measured.of_controller(logs.read(path, config, mapping, robot_file), config, path)
+    return check(found.signals, str(path), rust.Robot(robot_file))
 
 
 def check(signals: Mapping[str, Array], log: str, robot: rust.Robot) -> dict[str, Array]:
@@ -71,13 +71,6 @@ def check(signals: Mapping[str, Array], log: str, robot: rust.Robot) -> dict[str
     least = 2.0 * SETTLING + 10.0 * PERIOD
     if (time := signals["time"])[-1] - time[0] < least:
         raise Refused(f"`{log}` has {time[-1] - time[0]:g} s; expected at least {least:g} s (times in ms?)")
-    positions = signals["raw_joint_position"]
-    for joint, name, (low, high) in zip(range(positions.shape[1]), robot.joint_names, robot.joint_stops, strict=False):
-        worst = np.nanmax(np.abs(positions[:, joint]))
-        if worst > 3.0 * max(abs(low), abs(high), 0.5):
-            raise Refused(
-                f"`raw_joint_position` of `{name}` in `{log}` reaches {worst:g}; expected {low:g} to {high:g} (deg?)"
-            )
     return dict(signals)
 
 
@@ -94,9 +87,11 @@ def left_out(signals: Mapping[str, Array], robot: rust.Robot) -> dict[str, NDArr
         "engines idle": np.any(thrust < idle, axis=1) & (np.max(thrust, axis=1, initial=0.0) > 0.0),
         "commands saturated": np.any(torque > 0.999 * robot.arrays()["joint_torque_max"], axis=1),
         "odometry jumps": _jumps(signals),
+        "joints beyond stops": np.any(np.abs(flat["raw_joint_position"]) > measured.beyond(robot), axis=1),
     }
-    if found["engines idle"].mean() > MOST:  # then it is not the engines that are wrong, but the log
-        found["engines idle"][:] = False
+    for name, often in (("engines idle", MOST), ("joints beyond stops", measured.OFTEN)):
+        if found[name].mean() > often:  # then it is not the engines or joints that are wrong, but the log
+            found[name][:] = False
     if "foot_wrench" in flat:
         load = np.linalg.norm(flat["foot_wrench"].reshape(time.size, -1, 6)[..., :3].sum(axis=1), axis=1)
         found["feet loaded"] = np.nan_to_num(load) > LOADED * robot.mass * robot.gravity
@@ -152,7 +147,7 @@ def sample(
     rotation_late, linear_late = late("base_rotation"), late("base_linear_velocity")
     # The measured rotation turned the gyroscope's rates to inertial axes.
     gyro = np.einsum("kba,kb->ka", rotation, velocity[:, 3:])
-    left, _, right = np.linalg.svd(smooth(rotation, rotation_late))
+    attitude = nearest_rotation(smooth(rotation, rotation_late))
     # A torque reaches its joint later than its tick and is held until the next, a measurement is later than its cause.
     torque_late = -float((estimator.get("latency") or {}).get("torque", 0.0)) - 0.5 * float(np.median(np.diff(time)))
     joints, rates = signals["raw_joint_position"], late("base_angular_velocity")
@@ -163,9 +158,9 @@ def sample(
     found = Samples(
         weight=(~np.any(list(near.values()), axis=0)).astype(float),
         burnt=np.interp(at, time, impulse),
-        turn_rate=turn_of(np.einsum("kba,kbc->kac", left @ right, turned)),
+        turn_rate=turn_of(np.einsum("kba,kbc->kac", attitude, turned)),
         position_rate=smooth(signals["raw_base_position"], late("base_position"), 1),
-        rotation=left @ right,
+        rotation=attitude,
         linear_velocity=smooth(velocity[:, :3], linear_late),
         linear_acceleration=smooth(velocity[:, :3], linear_late, 1),
         gyro=smooth(gyro, rates),
@@ -221,9 +216,12 @@ def _of_feet(signals: Mapping[str, Array], robot: rust.Robot) -> Array:
     """Return the generalised forces of the measured wrenches of the feet (ticks, 6 + n)."""
     frames = [foot["frame"] for foot in tomllib.loads(robot.toml_text)["feet"]]
     found = np.zeros((signals["time"].size, 6 + signals["raw_joint_position"].shape[1]))
-    left, _, right = np.linalg.svd(signals["raw_base_rotation"])  # a record has four digits
-    poses = signals["raw_base_position"], left @ right, signals["raw_joint_position"]
+    rotations = nearest_rotation(signals["raw_base_rotation"])  # between two rows they are interpolated
+    poses = signals["raw_base_position"], rotations, signals["raw_joint_position"]
     for row, wrenches, position, rotation, joints in zip(found, signals["foot_wrench"], *poses, strict=True):
+        if not all(np.isfinite(part).all() for part in (position, rotation, joints)):
+            row[:] = np.nan  # a row that was lost
+            continue
         state = rust.State(position, rotation, joints, np.zeros_like(row))
         for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
             jacobian = rust.frame_jacobian(robot, frame, state)

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jax_aero import __main__ as commands
 from jax_aero import rust
 from jax_aero.base.terminal import Refused
-from jax_aero.view import logs
+from jax_aero.view import logs, measured
 
 EXPERIMENT = "platform_hover"
 PERIOD = 0.01
@@ -59,7 +60,7 @@ def mapping(folder, signals, time='columns = "t"', **more):
 
 def ticks(path, config, columns):
     log = logs.read(path, config, columns)
-    return logs.at_ticks(log, rust.Robot(config["robot"]), PERIOD, Path(path.name))
+    return measured.at_ticks(log, rust.Robot(config["robot"]), PERIOD, Path(path.name))
 
 
 def check(found):
@@ -191,6 +192,63 @@ def test_stamps_have_the_forms_of_their_programs(stamp, table, signals, config, 
         write(lambda _, wrong=wrong: wrong)
         with pytest.raises(Refused, match=r"sec with nanosec, sec with nsec, .*, or a text of ISO 8601"):
             ticks(path, config, columns)
+
+
+# --- rotations of few digits
+
+
+def tilted(table):
+    """The same robot turned by up to 1 rad about an axis, as rotation matrices, and the mapping's columns of these."""
+    turns = Rotation.from_rotvec(np.linspace(0.0, 1.0, ROWS)[:, None] * [0.48, -0.6, 0.64]).as_matrix()
+    columns = [f"R{place}" for place in range(9)]
+    return table.drop(columns=["qw", "qx", "qy", "qz"]).assign(t=SECONDS), columns, turns
+
+
+def turned_columns(signals, columns):
+    return {name: names for name, names in signals.items() if "quaternion" not in name} | {"raw_base_rotation": columns}
+
+
+@pytest.mark.parametrize("decimals", [2, 3, 4, 5, 6, 9])
+def test_a_matrix_of_few_digits_is_the_nearest_rotation(decimals, table, signals, config, tmp_path):
+    """Every reader's, to all digits; each entry is within the rounding of the nine."""
+    log, columns, turns = tilted(table)
+    path, rounded = tmp_path / "log.csv", turns.round(decimals).reshape(ROWS, 9)
+    log.assign(**dict(zip(columns, rounded.T, strict=True))).to_csv(path, index=False)
+    columns = mapping(tmp_path, turned_columns(signals, columns))
+    found = ticks(path, config, columns).signals["raw_base_rotation"]
+    np.testing.assert_allclose(np.swapaxes(found, 1, 2) @ found, np.tile(np.eye(3), (ROWS, 1, 1)), atol=1e-14)
+    assert np.abs(found - turns).max() <= 1.5 * 10.0**-decimals  # a matrix of nine roundings of half a digit
+    viewed = measured.read_flight(path, config, columns, None).signals["base_quaternion"]
+    np.testing.assert_allclose(rust.rotation_from_wxyz(viewed), found, atol=1e-14)
+    read = logs.read(path, config, columns)
+    np.testing.assert_array_equal(measured.of_controller(read, config, path).signals["raw_base_rotation"], found)
+
+
+def test_a_rotation_of_all_digits_keeps_its_bits(table, signals, config, tmp_path):
+    log, columns, turns = tilted(table)
+    path = tmp_path / "log.parquet"
+    log.assign(**dict(zip(columns, turns.reshape(ROWS, 9).T, strict=True))).to_parquet(path)
+    found = ticks(path, config, mapping(tmp_path, turned_columns(signals, columns))).signals
+    np.testing.assert_array_equal(found["raw_base_rotation"], turns)
+
+
+@pytest.mark.parametrize("factor", [0.0, 2.0, 1.02, -1.0])
+@pytest.mark.parametrize("command", ["replay", "identify", "export"])
+def test_what_is_no_rotation_is_refused_with_its_row(command, factor, table, signals, config, tmp_path, capsys):
+    """Zeros before the first message, another scale, and a reflection: by every reader, also in few of the rows."""
+    log, columns, turns = tilted(table)
+    path, rows = tmp_path / "log.csv", turns.reshape(ROWS, 9).copy()
+    rows[30:33] *= factor
+    log.assign(**dict(zip(columns, rows.T, strict=True))).to_csv(path, index=False)
+    words = [command, path, "--experiment", EXPERIMENT, "--map", mapping(tmp_path, turned_columns(signals, columns))]
+    words += ["--csv", "--out", tmp_path / "out.csv"] if command == "export" else []
+    assert commands.main([str(word) for word in words]) == 2
+    said = capsys.readouterr().err
+    assert "in row 31 at 0.3 s, and no rotation in 3 ticks; expected one, or nothing where it is not measured" in said
+    rows[30:33] = np.nan
+    log.assign(**dict(zip(columns, rows.T, strict=True))).to_csv(path, index=False)
+    found = ticks(path, config, words[5]).signals["raw_base_rotation"]
+    assert np.flatnonzero(np.isnan(found).any(axis=(1, 2))).tolist() == [30, 31, 32]
 
 
 # --- what tables of others hold

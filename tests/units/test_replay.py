@@ -18,8 +18,9 @@ from jax_aero.base import places, sizes
 from jax_aero.base.result import labels_of
 from jax_aero.body.spatial import rpy_from_rotation, wxyz_from_rotation
 from jax_aero.commands.replay import compare
+from jax_aero.replay import refused
 from jax_aero.results import manifest, record
-from jax_aero.view import export, logs, matlab, recording
+from jax_aero.view import export, logs, matlab, measured, recording
 from jax_aero.view.columns import read_mcap
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: make setup")
@@ -88,7 +89,7 @@ def test_what_a_robot_measured_is_viewed_and_written_for_viewers(result, flight,
     assert run(capsys, "export", result, "--csv", "--out", whole)[0] == 0
     rows = pd.read_csv(whole)
     rows[[name for name in rows if name == "time" or name.startswith("raw_")]].to_csv(own, index=False)
-    seen = logs.read_flight(own, rust.load_config("test2_sensors"), None, None)
+    seen = measured.read_flight(own, rust.load_config("test2_sensors"), None, None)
     known = np.isfinite(flight.log["raw_joint_position"]).all(axis=1)
     assert 0 < known.sum() < known.size
     np.testing.assert_array_equal(seen.signals["joint_position"][known], flight.log["raw_joint_position"][known])
@@ -397,6 +398,46 @@ def test_a_faster_log_of_others_replays_at_the_ticks_and_at_those_of_the_torques
     assert differences(out)["joint_torque"] < rounding  # of degrees and quaternions
 
 
+@pytest.mark.parametrize("command", ["replay", "identify", "export"])
+def test_angles_in_degrees_are_refused_by_every_reader(command, foreign, tmp_path, capsys):
+    (tmp_path / "map.toml").write_text(MAP.replace(", scale = 0.017453292519943295", ""))
+    words = [command, foreign / "log.csv", "--experiment", "test2", "--map", tmp_path / "map.toml"]
+    words += ["--csv", "--out", tmp_path / "out.csv"] if command == "export" else []
+    status, _, err = run(capsys, *words)
+    assert (status, "(deg?)" in err, "`raw_joint_position` of `" in err) == (2, True, True), err
+
+
+def test_a_rotation_of_five_decimals_is_no_missing_one(tmp_path, capsys):
+    """A hundredth of a milliradian moves torques by 1e-4 of their range; without attitude they are five times apart."""
+    config = rust.load_config("test1", {"simulator.duration": 4.0})
+    flown = rust.fly(config)
+    export.write_csv(recording.from_flight(flown, config, "flown"), tmp_path / "log.csv")
+    rows = pd.read_csv(tmp_path / "log.csv")
+    rotation = [name for name in rows if name.startswith("raw_base_rotation/")]
+    rows.assign(**rows[rotation].round(5)).to_csv(tmp_path / "log.csv", index=False)
+    status, out, err = run(capsys, "replay", tmp_path / "log.csv", "--experiment", "test1")
+    assert (status, err) == (1, "")
+    assert 0.0 < differences(out)["joint_torque"] < 1e-3 * np.abs(flown.log["joint_torque"]).max()
+
+
+def test_what_the_controller_refuses_is_counted(exact, tmp_path, capsys):
+    """Three rows of a velocity that no robot reaches; what a flight's own modes say is known."""
+    lines, _ = exact
+    header, *rows = [line.split(",") for line in lines]
+    for row in rows[20:23]:
+        row[header.index("raw_base_velocity/linear_x")] = "1e4"
+    without = header.index("degraded_modes")
+    spoilt = [",".join([*row[:without], *row[without + 1 :]]) for row in (header, *rows)]
+    (tmp_path / "log.csv").write_text("\n".join(spoilt))
+    with pytest.warns(UserWarning, match=r"in their place in 3 of 51 ticks with numbers of `raw_base_velocity`"):
+        assert run(capsys, "replay", tmp_path / "log.csv", "--experiment", "test2")[0] == 1
+    velocity, modes = np.zeros((3, 6)), rust.MODES["velocity_predicted"] * np.array([1, 1, 0])
+    velocity[1] = np.nan  # which is missing, not refused
+    computed = {"degraded_modes": modes.astype(float)}
+    assert refused({"raw_base_velocity": velocity}, computed) == {("raw_base_velocity",): 1}
+    assert refused({"raw_base_velocity": velocity, **computed}, computed) == {}
+
+
 def test_messages_of_others_replay(foreign, tmp_path, capsys):
     """One topic with all numbers, and the wind in another one that is slower."""
     from mcap.writer import Writer
@@ -485,7 +526,7 @@ def test_the_ticks_of_lost_rows_are_the_missing_ones(exact, tmp_path):
     config = rust.load_config("test2")
     log = logs.read(tmp_path / "lost.csv", config)
     with pytest.warns(UserWarning, match="no row for 5 ticks"):
-        signals, is_recorded = logs.at_ticks(log, rust.Robot(config["robot"]), 0.01, Path("lost.csv"))
+        signals, is_recorded = measured.at_ticks(log, rust.Robot(config["robot"]), 0.01, Path("lost.csv"))
     np.testing.assert_array_equal(np.flatnonzero(~is_recorded), np.arange(20, 25))
     np.testing.assert_allclose(signals["time"], flown.log["time"], rtol=1e-14)
     for name, rows in signals.items():
@@ -502,11 +543,11 @@ def test_a_late_row_is_not_a_lost_one():
     late[100:103] = late[103] - 1e-4 * np.arange(3, 0, -1)  # three at once
     late[200] += 0.9 * period
     for rows in (regular, late):
-        ticks, is_lost = logs._add_lost(rows, period)
+        ticks, is_lost = measured._add_lost(rows, period)
         assert not is_lost.any()
         assert bits(ticks) == bits(rows)
     lost = np.delete(late, [150, 151, 210, 300])
-    ticks, is_lost = logs._add_lost(lost, period)
+    ticks, is_lost = measured._add_lost(lost, period)
     np.testing.assert_array_equal(np.flatnonzero(is_lost), [150, 151, 210, 300])
     assert bits(ticks[~is_lost]) == bits(lost)
     np.testing.assert_allclose(ticks[is_lost], late[is_lost], atol=0.5 * period)
@@ -710,7 +751,7 @@ def test_marks_of_a_missing_value_are_named(foreign, tmp_path, capsys):
     assert (status, "column `wx`" in err, "is 99 in row 4" in err, "missing = [99]" in err) == (2, True, True, True)
     config = rust.load_config("test2")
     log = logs.read(tmp_path / "log.csv", config, tmp_path / "map.toml")
-    wind = logs.at_ticks(log, rust.Robot(config["robot"]), 0.01, Path("log.csv")).signals["raw_wind"]
+    wind = measured.at_ticks(log, rust.Robot(config["robot"]), 0.01, Path("log.csv")).signals["raw_wind"]
     assert np.flatnonzero(np.isnan(wind).any(axis=1)).tolist() == [3, 4]
     (tmp_path / "map.toml").write_text(MAP.replace('["wx", "wy", "wz"]', '["wx", "wy", "wz"], missing = []'))
     assert logs.read(tmp_path / "log.csv", config, tmp_path / "map.toml").signals["raw_wind"][0].rows[3] == 99.0
