@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shlex
+import warnings
 from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -14,12 +16,13 @@ from numpy.typing import NDArray
 
 from jax_aero import rust
 from jax_aero.base import sizes, typed_config
-from jax_aero.base.files import parse_json, read_bytes
+from jax_aero.base.files import check_depth, parse_json, read_bytes
 from jax_aero.base.parquet import read_table
 from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import ConfigError
-from jax_aero.view import Refused, require
+from jax_aero.view import Refused, require, stamps
 from jax_aero.view.export import METADATA
+from jax_aero.view.stamps import Stated
 
 Array = NDArray[np.float64]
 
@@ -58,7 +61,8 @@ def read_text(
         times = (times - times[:1]) * scale  # which would be rounded coarsely if they began in 1970
     except ConfigError as refusal:
         found, factor = rust.read_csv(content, file, {time: "text", **kinds}, missing), None
-        times = _seconds(found.texts[time], f"{refusal}, or ISO 8601")
+        places = [f"column {time} in line {line} of {file}" for line in found.lines]
+        times = stamps.seconds_of_texts(found.texts[time], places, str(refusal))
     numbers = {**found.numbers, time: times}
     table = np.column_stack(list(numbers.values()))
     is_filled = ~np.isnan(table)
@@ -68,22 +72,12 @@ def read_text(
     return series, found.header, factor
 
 
-def _seconds(moments: Any, refusal: str) -> Array:
-    """Return timestamps, durations, or texts of ISO 8601, as times from the first [s]."""
-    import pandas as pd
-
-    try:
-        column = pd.Series(moments)
-        column = column if column.dtype.kind in "mM" else pd.to_datetime(column, format="ISO8601", utc=True)
-    except (TypeError, ValueError) as reason:
-        raise Refused(f"{refusal} ({str(reason).splitlines()[0]})") from None
-    return np.asarray((column - column.iloc[0]).dt.total_seconds())
-
-
 def read_parquet(
     path: Path, time: str, scale: float, wanted: Collection[str], missing: Missing, *, is_ours: bool
 ) -> Table:
     """Return the wanted columns of a parquet file, as `read_text`; times of a type with a unit need no factor."""
+    import pandas as pd
+
     del is_ours, missing
     table = read_table(path)
     header = table.column_names
@@ -98,8 +92,15 @@ def read_parquet(
 
     column = table[time].to_pandas()
     has_unit = column.dtype.kind not in "iuf"
-    times = _seconds(column, f"column `{time}` of `{path}` holds no times") if has_unit else rows(time)
-    times = times if has_unit else (times - times[:1]) * scale
+    if not has_unit:
+        times = rows(time)
+        times = (times - times[:1]) * scale
+    elif column.dtype.kind in "mM":
+        times = stamps.seconds(column)
+    else:
+        places = [f"column `{time}` in row {row + 1} of `{path}`" for row in range(len(column))]
+        texts = ["" if pd.isna(text) else str(text) for text in column]
+        times = stamps.seconds_of_texts(texts, places, f"column `{time}` of `{path}` holds no times; expected numbers")
     series = {name: Series(times, times if name == time else rows(name)) for name in header if name in wanted}
     return series, header, None if has_unit else scale
 
@@ -107,92 +108,97 @@ def read_parquet(
 TABLES = {".csv": read_text, ".tsv": read_text, ".txt": read_text, ".parquet": read_parquet}
 """Readers of tables, by suffix."""
 
-STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
-"""Names of seconds and nanoseconds in stamps of ROS 2, Foxglove, ROS 1 and protocol buffers."""
-
-FORMS = f"a number, {', '.join(' with '.join(pair) for pair in STAMPS)}, or a text of ISO 8601"
-"""What a stamp may be."""
-
 
 def read_mcap(
-    path: Path, stamps: Mapping[str, float] | None = None, *, is_ours: bool
-) -> tuple[dict[str, Series], rust.Config | None, Collection[str]]:
+    path: Path, named: Mapping[str, float] | None = None, *, is_ours: bool
+) -> tuple[dict[str, Series], rust.Config | None, Mapping[str, Stated]]:
     """Return the numbers in the JSON messages of an MCAP file, and the configuration if `jax-aero export` wrote it.
 
-    The time of a message is that of its recording, or of its number named in `stamps`, with the factor to seconds; the
-    topics of messages without any are returned too.
+    The time of a message is that of its recording, or that of its stamp named in `named`, with the factor to seconds of
+    numbers; the stamps of every topic are returned too. Warns about messages without any.
     """
     require(["mcap"], f"reading `{path}`", "logs")
     from mcap.records import Channel, Message, Metadata
 
     _check_whole(path)
-    topics = {f"/signals/{name}" for name in rust.signals()}
-    found: dict[str, tuple[array[int], array[float]]] = {}
-    unstamped: set[str] = set()
+    ours = {f"/signals/{name}" for name in rust.signals()}
+    found: dict[str, tuple[array[float], array[float]]] = {}
+    stated: dict[str, Stated] = {}
     channels: dict[int, Channel] = {}
     config, others, size = None, set(), 0
-    try:
-        for record in _records(path):
-            if isinstance(record, Metadata) and record.name == METADATA and "config" in record.metadata:
-                config = typed_config.make_paths_absolute(parse_json(record.metadata["config"].encode()))
-            elif isinstance(record, Channel):
-                channels[record.id] = record
-            elif isinstance(record, Message):
-                channel = channels[record.channel_id]
-                if is_ours and channel.topic not in topics:
-                    continue
-                if channel.message_encoding != "json":
-                    others.add(channel.message_encoding)
-                    continue
-                message = parse_json(record.data)
-                numbers = dict(_flatten(message, channel.topic))
-                time = next(_stamps(message, channel.topic, numbers, stamps), None) if stamps else record.log_time
-                if time is None:
-                    unstamped.add(channel.topic)
-                    continue
-                for name, number in numbers.items():
-                    if name not in found:
-                        found[name] = array("q"), array("d")
-                        size += 500 + len(name)
-                    found[name][0].append(time)
-                    found[name][1].append(number)
-                    size += 16
-                sizes.expect("bytes of numbers", size, sizes.MAX_NUMBERS)
-    except Exception as reason:  # the package raises many types for damaged files
-        what = f"({type(reason).__name__}: {reason})"
-        raise Refused(f"`{path}` is damaged {what}; {_recovery(path)}") from None
-    if not found and not unstamped:
+    first: int | None = None
+    for record in _records(path):
+        if isinstance(record, Metadata) and record.name == METADATA and "config" in record.metadata:
+            config = typed_config.make_paths_absolute(parse_json(record.metadata["config"].encode()))
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            if (channel := channels.get(record.channel_id)) is None:
+                raise Refused(_damaged(path, "a message without channel"))
+            topic = channel.topic
+            if is_ours and topic not in ours:
+                continue
+            if channel.message_encoding != "json":
+                others.add(channel.message_encoding)
+                continue
+            messages = stated.setdefault(topic, Stated())
+            message = _parse(record.data, f"message {messages.count + 1} of `{topic}` in `{path}`")
+            time, stamp = _stamp(message, topic, named) if named else (record.log_time, None)
+            if time is not None and first is None:
+                first = time
+            # Whole numbers of up to 104 days are exact.
+            since = None if time is None else float(time - (first or 0))
+            messages.add(stamp, since)
+            if since is None:
+                continue
+            for name, number in _flatten(message, topic):
+                if name not in found:
+                    found[name] = array("d"), array("d")
+                    size += 500 + len(name)
+                found[name][0].append(since)
+                found[name][1].append(number)
+                size += 16
+            sizes.expect("bytes of numbers", size, sizes.MAX_NUMBERS)
+    if not stated:
         held = f", but in {', '.join(sorted(others))}, which PlotJuggler exports as CSV" if others else ""
         raise Refused(f"`{path}` has no message in JSON{held}; expected those of `jax-aero export`, or others in JSON")
-    start = min((min(times) for times, _ in found.values()), default=0)
-    return {name: _in_order(times, numbers, start) for name, (times, numbers) in found.items()}, config, unstamped
+    for topic, messages in stated.items() if named else ():
+        messages.check(topic, f"`{path}`")
+        if messages.times and (text := messages.describe(topic, f"`{path}`")):
+            warnings.warn(f"{text}; they are left out", stacklevel=2)
+    start = min((min(times) for times, _ in found.values()), default=0.0)
+    return {name: _in_order(times, numbers, start) for name, (times, numbers) in found.items()}, config, stated
 
 
-def _stamps(message: Any, topic: str, numbers: Mapping[str, float], stamps: Mapping[str, float]) -> Iterator[int]:
-    """Yield the times that a message states [ns], which would be rounded coarsely in seconds since 1970."""
-    for name, scale in stamps.items():
-        number = numbers.get(name, np.nan)
-        if np.isfinite(number):
-            yield round(number * scale * 1e9)
-        for units in STAMPS:
-            whole, part = (numbers.get(f"{name}/{unit}", np.nan) for unit in units)
-            if np.isfinite(whole + part):
-                yield int(whole) * 10**9 + int(part)
-        text = message
-        for key in name.removeprefix(f"{topic}/").split("/"):
-            text = text.get(key) if isinstance(text, dict) else None
-        if isinstance(text, str):
-            import pandas as pd
-
-            with suppress(ValueError):
-                yield int(pd.Timestamp(text).value)
+def _parse(content: bytes, what: str) -> Any:
+    """Return a message in JSON, in which NaN and Infinity may be as Python's own writer has them."""
+    try:
+        return parse_json(content)
+    except ValueError as reason:
+        with suppress(ValueError, RecursionError):
+            message = json.loads(content)
+            check_depth(message)
+            return message
+        raise Refused(f"{what} is no JSON ({reason})") from None
 
 
-def _in_order(stamps: array[int], numbers: array[float], start: int) -> Series:
+def _stamp(message: Any, topic: str, named: Mapping[str, float]) -> tuple[int | None, Any]:
+    """Return the time that a message states [ns], and the stamp, the first of those named that is one."""
+    stamp = None
+    for name, scale in named.items():
+        if name.startswith(f"{topic}/"):
+            part = stamps.find(message, name.removeprefix(f"{topic}/").split("/"))
+            stamp = part if stamp is None else stamp
+            if (time := stamps.nanoseconds(part, scale)) is not None:
+                return time, part
+    return None, stamp
+
+
+def _in_order(stamps: array[float], numbers: array[float], start: float) -> Series:
     """Return a series from the stamps of messages [ns], in the order of their times."""
-    times = np.asarray(stamps, np.int64)
+    times = np.asarray(stamps)
     order = np.argsort(times, kind="stable")
-    return Series((times[order] - start).astype(np.float64) * 1e-9, np.asarray(numbers)[order])
+    return Series((times[order] - start) * 1e-9, np.asarray(numbers)[order])
 
 
 def _records(path: Path) -> Iterator[Any]:
@@ -200,13 +206,22 @@ def _records(path: Path) -> Iterator[Any]:
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, breakup_chunk
 
-    with path.open("rb") as file:
-        for record in StreamReader(file, emit_chunks=True, record_size_limit=sizes.MAX_TABLE).records:
-            if not isinstance(record, Chunk):
-                yield record
-                continue
-            sizes.expect("bytes in a chunk", _size_of_chunk(record), sizes.MAX_PART)
-            yield from breakup_chunk(record, validate_crc=True)
+    try:
+        with path.open("rb") as file:
+            for record in StreamReader(file, emit_chunks=True, record_size_limit=sizes.MAX_TABLE).records:
+                if not isinstance(record, Chunk):
+                    yield record
+                    continue
+                sizes.expect("bytes in a chunk", _size_of_chunk(record), sizes.MAX_PART)
+                yield from breakup_chunk(record, validate_crc=True)
+    except Refused as reason:
+        raise Refused(f"`{path}`: {reason}") from None
+    except Exception as reason:  # the package raises many types for damaged files
+        raise Refused(_damaged(path, f"{type(reason).__name__}: {reason}")) from None
+
+
+def _damaged(path: Path, reason: str) -> str:
+    return f"`{path}` is damaged ({reason}); {_recovery(path)}"
 
 
 def _size_of_chunk(chunk: Any) -> int:

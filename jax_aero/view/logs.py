@@ -9,13 +9,13 @@ A mapping file is TOML: a table for each signal (`rust.signals`) that the log ho
 
 Columns of an MCAP file are the numbers of its JSON messages, such as `/topic/field/0`, with the times of recording or,
 with `time = { columns = ["/joints/stamp", "/base/stamp"] }`, those that the messages of each topic state, in one of the
-forms `columns.FORMS`. Times with a unit of their own, as timestamps of parquet and texts of ISO 8601, need no `scale`.
+forms `stamps.FORMS`. Times with a unit of their own, as timestamps of parquet and texts of ISO 8601, need no `scale`.
 Those of a MATLAB file are named in `jax_aero.view.matlab`, and have its times.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -26,12 +26,13 @@ from jax_aero.base import tables
 from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import ConfigError
 from jax_aero.view import Refused, recording
-from jax_aero.view.columns import FORMS, TABLES, Series, read_mcap
+from jax_aero.view.columns import TABLES, Series, read_mcap
 from jax_aero.view.export import column_name
 from jax_aero.view.formats import FORMATS as FORMATS
 from jax_aero.view.formats import instead_of
 from jax_aero.view.matlab import read_mat
 from jax_aero.view.recording import entries_of
+from jax_aero.view.stamps import FORMS, Stated
 
 QUATERNION = "raw_base_quaternion"
 """Signal of a mapping, in the place of `raw_base_rotation`: (w, x, y, z)."""
@@ -107,11 +108,11 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     own: rust.Config | None = None
     time = sources.get("time", Source(columns="time"))
     stamps = (time.columns,) if isinstance(time.columns, str) else time.columns
-    unstamped: Collection[str] = ()
+    stated: Mapping[str, Stated] = {}
     scale: float | None = None
     if suffix == ".mcap":
         given = dict.fromkeys(stamps, time.scale) if "time" in sources else {}
-        columns, own, unstamped = read_mcap(path, given, is_ours=mapping is None)
+        columns, own, stated = read_mcap(path, given, is_ours=mapping is None)
         scale = time.scale if given else None
     elif suffix == ".mat":
         if "time" in sources:
@@ -135,14 +136,21 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     for signal, names in named.items():
         absent = [name for name in names if name not in columns]
         if absent and mapping is not None:
-            if any(absent[0].startswith(f"{topic}/") for topic in unstamped):
-                expected = f"one of each topic, also of that of `{absent[0]}`: {FORMS}"
-                raise ConfigError.of("time.columns", list(stamps), expected).in_file(mapping.name)
+            for topic, messages in stated.items():
+                if absent[0].startswith(f"{topic}/") and not messages.times:
+                    raise _unstamped(topic, messages, absent[0], stamps, path).in_file(mapping.name)
             raise Refused(f"{mapping.name}: `{path}` has no column `{absent[0]}`{did_you_mean(absent[0], header)}")
         if not absent:
             source = None if signal == "time" else sources.get(signal)  # whose readers return seconds
             signals[signal] = [_in_our_units(columns[name], source, name, path) for name in names]
     return Log(signals, own, scale)
+
+
+def _unstamped(topic: str, messages: Stated, column: str, stamps: Sequence[str], path: Path) -> ConfigError:
+    """Return the refusal of a topic whose messages state no time."""
+    if any(stamp.startswith(f"{topic}/") for stamp in stamps):
+        return ConfigError(f"{messages.describe(topic, f'`{path}`')}; expected {FORMS}")
+    return ConfigError.of("time.columns", list(stamps), f"one of each topic, also of that of `{column}`: {FORMS}")
 
 
 def _in_our_units(column: Series, source: Source | None, name: str, path: Path) -> Series:

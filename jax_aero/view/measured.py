@@ -149,12 +149,15 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
     """
     needed = [QUATERNION if name not in log.signals and name == "raw_base_rotation" else name for name in NEEDED]
     needed = [name for name in [*needed, *also] if robot.joint_names or "joint" not in name]
-    if lacking := [name for name in needed if name not in log.signals]:
+    lacking = [name for name in needed if name not in log.signals]
+    of_rows = ["raw_joint_position" if robot.joint_names else "raw_base_position", *needed]
+    if named := [name for name in of_rows if name in log.signals]:
+        stamps = log.signals[named[0]][0].times
+        unit = _likely_unit(log.scale, _typical_step(stamps), period)
+        rows = _check_times(stamps, path, unit)
+    if lacking:
         names = ", ".join(f"`{name}`" for name in lacking).replace(QUATERNION, "raw_base_rotation")
         raise Refused(f"`{path}` has no {names}; expected what a tick is given")
-    stamps = log.signals["raw_joint_position" if robot.joint_names else "raw_base_position"][0].times
-    unit = _likely_unit(log.scale, _typical_step(stamps), period)
-    rows = _check_times(stamps, path, unit)
     spans = [(*_span(one, name, path), name) for name in needed for one in log.signals[name]]
     (begin, last, late), (first, end, early) = max(spans), min(spans, key=lambda span: span[1])
     if begin > end:

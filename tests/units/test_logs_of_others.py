@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -101,11 +102,30 @@ def test_times_in_words_of_iso_8601_have_a_unit(form, table, signals, config, tm
     words = [form.format(moment) for moment in MOMENTS]
     table.assign(t=words).to_csv(path, index=False)
     check(ticks(path, config, columns))
-    table.assign(t=[*words[:7], "noon", *words[8:]]).to_csv(path, index=False)
-    with pytest.raises(Refused, match=r"expected a number, or nothing, or ISO 8601 \(.*noon"):
+    for row in (0, 7, ROWS - 1):
+        for wrong in ("noon", "2026-02-30T10:00:00.020", "2026-12-31T23:59:60Z", "0.5", "12:00:00.250"):
+            table.assign(t=[*words[:row], wrong, *words[row + 1 :]]).to_csv(path, index=False)
+            said = rf"^column t in line {row + 2} of .* is {re.escape(wrong)}; expected ISO 8601, as in most rows$"
+            with pytest.raises(Refused, match=said):
+                ticks(path, config, columns)
+            table.assign(t=[*words[:row], wrong, *words[row + 1 :]]).to_parquet(tmp_path / "log.parquet")
+            said = rf"^column `t` in row {row + 1} of .* is {re.escape(wrong)}; expected ISO 8601, as in most rows$"
+            with pytest.raises(Refused, match=said):
+                ticks(tmp_path / "log.parquet", config, columns)
+
+
+@pytest.mark.parametrize("form", ["{:.2f} sec", "00:00:{:05.2f}", "02-Feb-2026 10:00:{:05.2f}"])
+def test_times_in_other_words_are_refused_in_one_sentence(form, table, signals, config, tmp_path):
+    path, columns = tmp_path / "log.csv", mapping(tmp_path, signals)
+    table.assign(t=[form.format(time) for time in SECONDS]).to_csv(path, index=False)
+    with pytest.raises(
+        Refused, match=r"^column t in line 2 of `[^`]*` is .*; expected a number, or nothing, or ISO 8601$"
+    ):
         ticks(path, config, columns)
-    table.assign(t=["noon", *words[1:]]).to_csv(path, index=False)
-    with pytest.raises(Refused, match=r"column t in line 2 of .* is noon; expected a number"):
+    table.assign(t=[*SECONDS[:10], "later", *SECONDS[11:]]).to_csv(path, index=False)
+    with pytest.raises(
+        Refused, match=r"^column t in line 12 of `[^`]*` is later; expected a number, or nothing, or ISO"
+    ):
         ticks(path, config, columns)
 
 
@@ -152,6 +172,36 @@ def test_the_row_whose_time_is_corrupt_is_named(table, signals, config, tmp_path
 
 # --- stamps of messages
 
+NOON = 1_770_000_000_000_000_000
+"""A whole second since 1970 [ns]."""
+
+
+def write_messages(path, table, stamp, start=None, spoil=bytes):
+    """Write a topic in JSON whose messages state a time; those of recording jitter."""
+    writer = pytest.importorskip("mcap.writer", reason="mcap is not installed: make setup")
+    with path.open("wb") as file:
+        log = writer.Writer(file)
+        log.start()
+        channel = log.register_channel("/a/base", "json", 0)
+        for number, row in enumerate(table.to_dict("records")):
+            ns = MOMENTS[number].value if start is None else start + 10_000_000 * number
+            text = json.dumps(row | {"header": {"stamp": stamp(ns)}}).encode()
+            log.add_message(channel, ns + 3_000_000 * (number % 2), spoil(text), 0)
+        log.finish()
+
+
+def messages_of(signals):
+    return {name: [f"/a/base/{column}" for column in columns] for name, columns in signals.items()}
+
+
+def without_zeros(stamp):
+    return {unit: number for unit, number in stamp.items() if number}
+
+
+def quoted(stamp):
+    """How a message without time is quoted."""
+    return re.escape("none" if stamp is None else repr(stamp))
+
 
 @pytest.mark.close_to_tolerance("a stamp in seconds since 1970 is rounded when it is made, read and subtracted")
 @pytest.mark.parametrize(
@@ -167,31 +217,99 @@ def test_the_row_whose_time_is_corrupt_is_named(table, signals, config, tmp_path
     ],
 )
 def test_stamps_have_the_forms_of_their_programs(stamp, table, signals, config, tmp_path):
-    writer = pytest.importorskip("mcap.writer", reason="mcap is not installed: make setup")
     path = tmp_path / "log.mcap"
-
-    def write(stamp):
-        with path.open("wb") as file:
-            log = writer.Writer(file)
-            log.start()
-            channel = log.register_channel("/a/base", "json", 0)
-            for number, row in enumerate(table.to_dict("records")):
-                ns = MOMENTS[number].value
-                message = row | {"header": {"stamp": stamp(ns)}}
-                log.add_message(channel, ns + 3_000_000 * (number % 2), json.dumps(message).encode(), 0)
-            log.finish()
-
-    named = {name: [f"/a/base/{column}" for column in columns] for name, columns in signals.items()}
-    columns = mapping(tmp_path, named, 'columns = ["/a/base/header/stamp"]')
-    write(stamp)
+    columns = mapping(tmp_path, messages_of(signals), 'columns = ["/a/base/header/stamp"]')
+    write_messages(path, table, stamp)
     found = ticks(path, config, columns)
     # Four units in the last place of seconds since 1970.
     atol = 4.0 * np.spacing(MOMENTS[0].timestamp()) if isinstance(stamp(0), float) else 1e-9
     np.testing.assert_allclose(found.signals["time"], SECONDS, atol=atol)
-    for wrong in ({"s": 1, "ns": 2}, "noon", None, {"sec": 1}):
-        write(lambda _, wrong=wrong: wrong)
-        with pytest.raises(Refused, match=r"sec with nanosec, sec with nsec, .*, or a text of ISO 8601"):
+    for wrong in ({"s": 1, "ns": 2}, "noon", "today", None, {"sec": 1, "usec": 2}, True, [1, 2]):
+        write_messages(path, table, lambda _, wrong=wrong: wrong)
+        said = (
+            rf"40 of 40 messages of `/a/base` in .* state no time, the first of them message 1, with {quoted(wrong)}; "
+        )
+        with pytest.raises(Refused, match=rf"{said}expected a number, sec with nanosec, .*, or a text of ISO 8601"):
             ticks(path, config, columns)
+
+
+MESSAGES = 'columns = ["/a/base/header/stamp"]'
+
+
+@pytest.mark.parametrize(
+    "stamp",
+    [
+        lambda ns: without_zeros({"seconds": ns // 10**9, "nanos": ns % 10**9}),
+        lambda ns: without_zeros({"sec": ns // 10**9, "nanosec": ns % 10**9}),
+        lambda ns: without_zeros({"secs": (ns - NOON) // 10**9, "nsecs": (ns - NOON) % 10**9}),
+        lambda ns: {"seconds": str(ns // 10**9), "nanos": ns % 10**9},
+        lambda ns: {"sec": ns // 10**9, "nsec": ns % 10**9, "frame": "base"},
+    ],
+    ids=["proto3", "ros2", "since boot", "64-bit as text", "with more"],
+)
+def test_what_protocol_buffers_leave_out_of_a_stamp_is_zero(stamp, table, signals, config, tmp_path):
+    """Nanoseconds of a whole second, and both at the time of boot; integers of 64 bits are texts."""
+    path, columns = tmp_path / "log.mcap", mapping(tmp_path, messages_of(signals), MESSAGES)
+    write_messages(path, table, stamp, start=NOON)
+    check(ticks(path, config, columns))
+
+
+def test_nanoseconds_as_text_have_the_scale(table, signals, config, tmp_path):
+    path = tmp_path / "log.mcap"
+    write_messages(path, table, str)
+    check(ticks(path, config, mapping(tmp_path, messages_of(signals), f"{MESSAGES}, scale = 1e-9")))
+
+
+@pytest.mark.parametrize("without", [(0,), (0, 1), (20,), (5, 39)])
+def test_messages_that_state_no_time_are_counted(without, table, signals, config, tmp_path):
+    """The first ones too, without which the mission begins later."""
+    path, columns = tmp_path / "log.mcap", mapping(tmp_path, messages_of(signals), MESSAGES)
+    moments = [moment.value for moment in MOMENTS]
+    write_messages(path, table, lambda ns: None if moments.index(ns) in without else {"sec": 0, "nsec": ns})
+    said = rf"{len(without)} of 40 messages of `/a/base` in .* state no time, .* message {without[0] + 1}, with none; "
+    with pytest.warns(UserWarning, match=f"{said}they are left out"):
+        log = logs.read(path, config, columns)
+    assert log.signals["raw_base_position"][0].times.size == ROWS - len(without)
+
+
+@pytest.mark.parametrize(("unit", "likely"), [(1, "ns"), (1e3, "us"), (1e6, "ms")])
+def test_a_stamp_of_another_unit_is_no_damage(unit, likely, table, signals, config, tmp_path):
+    path, columns = tmp_path / "log.mcap", mapping(tmp_path, messages_of(signals), MESSAGES)
+    write_messages(path, table, lambda ns: int(ns / unit))
+    with pytest.raises(
+        Refused, match=rf"^row 2 of .*expected .*\(times in {likely}\?\)|^`.*log.mcap` has 40 rows .*{likely}"
+    ):
+        ticks(path, config, columns)
+
+
+@pytest.mark.parametrize("number", [1, 21, 40])
+@pytest.mark.parametrize("wrong", [0.0, 1e200, -1e12, 1.9e9])
+def test_the_message_of_one_wrong_stamp_is_named(wrong, number, table, signals, config, tmp_path):
+    path, columns = tmp_path / "log.mcap", mapping(tmp_path, messages_of(signals), MESSAGES)
+    moments = [moment.value for moment in MOMENTS]
+    write_messages(path, table, lambda ns: wrong if moments.index(ns) == number - 1 else 1e-9 * ns)
+    with pytest.raises(
+        Refused, match=rf"^message {number} of `/a/base` in .*log\.mcap` states a time .* s from those of"
+    ):
+        ticks(path, config, columns)
+
+
+@pytest.mark.parametrize("wrong", [float("inf"), float("nan"), 1e300])
+def test_a_stamp_that_is_no_number_is_none(wrong, table, signals, config, tmp_path):
+    path, columns = tmp_path / "log.mcap", mapping(tmp_path, messages_of(signals), MESSAGES)
+    write_messages(path, table, lambda ns: wrong if ns == MOMENTS[9].value else 1e-9 * ns)
+    with pytest.warns(UserWarning, match=rf"1 of 40 messages of .* message 10, with {wrong!r}".replace("+", r"\+")):
+        logs.read(path, config, columns)
+
+
+def test_a_message_that_is_no_json_is_named(table, signals, config, tmp_path):
+    """No program for damaged files mends it; NaN of Python's writer is a missing number."""
+    path, columns = tmp_path / "log.mcap", mapping(tmp_path, messages_of(signals), MESSAGES)
+    write_messages(path, table, lambda ns: 1e-9 * ns, spoil=lambda text: text.replace(b'"wx": 0.0', b'"wx": NaN'))
+    assert np.isnan(ticks(path, config, columns).signals["raw_wind"][:, 0]).all()
+    write_messages(path, table, lambda ns: 1e-9 * ns, spoil=lambda text: text[:-1])
+    with pytest.raises(Refused, match=r"^message 1 of `/a/base` in .*log\.mcap` is no JSON \("):
+        ticks(path, config, columns)
 
 
 # --- rotations of few digits
