@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import re
 import sys
 from collections.abc import Callable, Iterable
@@ -65,6 +66,17 @@ def count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"`{text}`; expected an integer ≥ 1")
     return int(text)
+
+
+def share(text: str) -> float:
+    """Convert an argument of `type=share` to a number from 0 to 1."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not 0.0 <= number <= 1.0:
+        raise argparse.ArgumentTypeError(f"`{text}`; expected a number from 0 to 1")
+    return number
 
 
 def add_name(parser: argparse.ArgumentParser, default: str) -> None:

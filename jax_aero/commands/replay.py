@@ -2,8 +2,8 @@
 
 LOG is a result of `jax-aero fly`, an MCAP, MATLAB or CSV file of `jax-aero export`, or one of others (parquet too) with
 --map FILE. The log of a flight of the crate with its own configuration gives the same bits; otherwise the differences
-of every signal are printed, and with --plot drawn, and the exit status is 1. Ticks that the log has lost are replayed
-as not measured.
+of every signal are printed, and with --plot drawn, and the exit status is 1, unless all are within --tolerance. Ticks
+that the log has lost are replayed as not measured.
 """
 
 from __future__ import annotations
@@ -63,6 +63,8 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--robot", metavar="FILE", help="robot file, for a log of a robot of your own")
     study.add_set(parser)
     parser.add_argument("--map", type=Path, metavar="FILE", help="TOML file that names the columns of a log of others")
+    about = "greatest difference, in ranges of a signal, with which it agrees (default 0: the same bits)"
+    parser.add_argument("--tolerance", type=arguments.share, default=0.0, metavar="SHARE", help=about)
     parser.add_argument("--plot", type=Path, metavar="FILE", help=f"draw what differs most ({', '.join(FORMATS)})")
     parser.add_argument("--out", type=Path, metavar="FILE", help="keep what is computed (.csv)")
     parser.add_argument("--overwrite", action="store_true", help="replace existing files")
@@ -91,6 +93,10 @@ def _replay(given: argparse.Namespace) -> int:
     differences = compare(recorded, computed)
     print(f"{computed['time'].size} ticks of {given.log}")
     print(describe(differences))
+    apart = [difference for difference in differences if share(difference) > given.tolerance]
+    if given.tolerance:
+        count = len(differences) - len(apart)
+        print(f"within {given.tolerance:g} of their ranges: {count} of {len(differences)} signals")
     if given.out is not None:
         robot = rust.Robot(config["robot"])
         write_csv(Recording("replay", computed, robot, Path(config["robot"]), "replayed", None, None), given.out)
@@ -98,7 +104,7 @@ def _replay(given: argparse.Namespace) -> int:
     if given.plot is not None:
         _draw(recorded, computed, differences, rust.Robot(config["robot"]), given.plot)
         print(given.plot)
-    return int(any(difference.greatest != 0.0 for difference in differences))
+    return int(bool(apart))
 
 
 def compare(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> list[Difference]:
@@ -117,10 +123,10 @@ def compare(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> lis
         greatest = np.nan if np.isinf(worst[tick]) else float(worst[tick])
         range_ = np.abs(before[np.isfinite(before)]).max(initial=0.0)
         found.append(Difference(name, greatest, float(computed["time"][tick]), float(range_)))
-    return sorted(found, key=_share, reverse=True)
+    return sorted(found, key=share, reverse=True)
 
 
-def _share(difference: Difference) -> float:
+def share(difference: Difference) -> float:
     """Return the share of the range that a signal differs by; infinite for one that is no number on one side only."""
     if difference.greatest == 0.0:
         return 0.0

@@ -438,6 +438,34 @@ def test_what_the_controller_refuses_is_counted(exact, tmp_path, capsys):
     assert refused({"raw_base_velocity": velocity, **computed}, computed) == {}
 
 
+def test_what_a_conversion_rounds_is_within_a_tolerance(foreign, capsys):
+    """Degrees and quaternions: rounding, some 1e-16 of attitude, angles and rates, times the gains of the torques."""
+    words = ("replay", foreign / "log.csv", "--experiment", "test2", "--map", foreign / "map.toml")
+    for share, status in (("0", 1), ("1e-17", 1), ("1e-9", 0)):
+        found, out, err = run(capsys, *words, "--tolerance", share)
+        assert found == status, err
+    assert out.splitlines()[-2:] == [
+        "equal to the last bit: 0 of 1 signals",
+        "within 1e-09 of their ranges: 1 of 1 signals",
+    ]
+    with pytest.raises(SystemExit):
+        run(capsys, *words, "--tolerance", "-1")
+    assert "expected a number from 0 to 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("error", "status"), [(0.9, 0), (1.1, 1), (np.nan, 1)])
+def test_a_difference_beyond_the_tolerance_is_one(error, status, exact, tmp_path, capsys):
+    """Of one torque in one tick; a tolerance is no licence for what is no number."""
+    lines, flown = exact
+    header, *rows = [line.split(",") for line in lines]
+    column = next(place for place, name in enumerate(header) if name.startswith("joint_torque/"))
+    most = float(np.abs(flown.log["joint_torque"]).max())
+    rows[30][column] = repr(float(rows[30][column]) + error * 1e-4 * most) if np.isfinite(error) else ""
+    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in (header, *rows)))
+    words = ("replay", tmp_path / "log.csv", "--experiment", "test2", "--tolerance", "1e-4")
+    assert run(capsys, *words)[0] == status
+
+
 def test_messages_of_others_replay(foreign, tmp_path, capsys):
     """One topic with all numbers, and the wind in another one that is slower."""
     from mcap.writer import Writer
