@@ -9,8 +9,11 @@ MODULE := $(VENV)/.module
 TESTING := $(VENV)/.testing
 PACKAGES := $(VENV)/.packages
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
-DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer engine_out_mpc
-FILM := test1 --beside test2 test1_observer engine_out_mpc --start 10 --end 27 --speed 3 --fps 10 --size 960x480
+# Flights of `make demo`: in 18 m/s from ahead, and an arm engine that stops; and how they are filmed.
+GALE := test1_gale test2_gale test1_observer_gale robot_gale
+ENGINE := test2_arm_engine_out robot_arm_engine_out
+GALE_FILM := --camera side --start 4 --end 31 --speed 3
+ENGINE_FILM := --start 27 --speed 1.5
 
 # Duration of `make fuzz`.
 MINUTES ?= 60
@@ -81,6 +84,10 @@ LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
 
 BUILD_WHEEL = $(BIN)/maturin build --release --locked --quiet --compression-level 9 --out dist
 
+# Films flights side by side: their names, options, the name of the film.
+film = $(BIN)/jax-aero view video $(firstword $(1)) --beside $(wordlist 2,$(words $(1)),$(1)) $(2) --fps 10 --size 960x480 \
+	--renderer pillow --out results/figures/$(3).webp --overwrite
+
 # Refuses where one of Rust's targets is not installed.
 need-targets = @for target in $(1); do rustc --print target-libdir --target $$target | xargs test -d || \
 	{ echo "Rust's target is missing: rustup target add $$target"; exit 1; }; done
@@ -103,11 +110,12 @@ help: ## list the targets
 
 setup: $(PACKAGES) ## create .venv, compile the Rust module, install all pinned packages
 
-demo: $(MODULE) ## fly three controllers with corrected and with published lever arms, and one without an engine: table, figure, film
-	@echo "seven flights, two figures and a film (a minute)"
-	$(BIN)/jax-aero fly $(DEMO) --overwrite
-	$(BIN)/jax-aero figures demo fig5
-	$(BIN)/jax-aero view video $(FILM) --renderer pillow --out results/figures/demo.webp --overwrite
+demo: $(MODULE) ## fly four controllers in 18 m/s from ahead, and two whose arm engine stops: table, figure, two films
+	@echo "six flights, a figure and two films (a minute)"
+	$(BIN)/jax-aero fly $(GALE) $(ENGINE) --overwrite
+	$(BIN)/jax-aero figures demo
+	$(call film,$(GALE),$(GALE_FILM),flight)
+	$(call film,$(ENGINE),$(ENGINE_FILM),engine_out)
 
 view: $(MODULE) lab ## fly in the browser: drag the wind until the robot falls
 	$(BIN)/jax-aero view
@@ -201,8 +209,8 @@ bench: $(PACKAGES) ## measure every part of a tick, the crate beside Pinocchio, 
 	taskset -c 0 $(BIN)/python -m experiments.tools.bench_train
 	$(BIN)/python -m experiments.tools.bench_gpu
 
-figures: $(PACKAGES) ## fly the demo's flights, and draw every figure whose results are there
-	$(BIN)/jax-aero fly $(DEMO) --overwrite
+figures: $(PACKAGES) ## fly the paper's first two flights and the demo's, and draw every figure whose results are there
+	$(BIN)/jax-aero fly test1 test2 $(GALE) $(ENGINE) --overwrite
 	$(BIN)/jax-aero figures all
 
 # SWEEPS=--all adds our own results, which takes hours. SKIP=cfd leaves out the flow around the robot, which takes OpenFOAM.

@@ -1,7 +1,7 @@
 """Draw pictures of pages anew: `python -m docs.gallery NAME ...`; without names, those of flights and tables.
 
-The name `film` stands for the front page's film. A picture of flights flies them first, and names how each ended. One
-of a study computes the study.
+`flight` and `engine_out` are the front page's films. A picture of flights flies them first, and names how each ended.
+One of a study computes the study.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
@@ -38,29 +38,51 @@ MADE_OF = "Made of"
 """Text of a PNG that says what a picture shows."""
 DESCRIPTION = 0x010E
 """EXIF's tag of the same text in a film."""
-FILM = ROOT / "docs/img/flight.webp"
-FILMED = {
-    "test1": "baseline",
-    "test2": "aero_aware",
-    "test1_observer": "observer_without_model",
-    "engine_out_mpc": "mpc",
+
+
+class Film(NamedTuple):
+    """Flights side by side."""
+
+    shown: Mapping[str, str]
+    """Experiments with their controllers."""
+    cut: str
+    """Options of `jax-aero view video`."""
+
+    @staticmethod
+    def path(name: str) -> Path:
+        """Return the file of a film of `FILMS`."""
+        return ROOT / f"docs/img/{name}.webp"
+
+
+FILMS = {
+    "flight": Film(
+        {
+            "test1_gale": "baseline",
+            "test2_gale": "aero_aware",
+            "test1_observer_gale": "observer_without_model",
+            "robot_gale": "robot",
+        },
+        "--camera side --size 960x480 --fps 10 --speed 3 --start 4 --end 31",
+    ),
+    "engine_out": Film(
+        {"test2_arm_engine_out": "aero_aware", "robot_arm_engine_out": "robot"},
+        "--size 960x480 --fps 10 --speed 1.5 --start 27",
+    ),
 }
-"""Experiments with their controllers."""
-CUT = "--size 960x480 --fps 10 --speed 3 --start 10 --end 27"
 FIGURES_OF_A_FLIGHT = ("max_rotation_error", "max_com_error", "thrust_max", "end_com_z")
 
 
 def main() -> int:
     """Draw pictures; return the exit status."""
     names = sys.argv[1:] or [name for name in pictures() if FIGURES[name].kind in ("flight", "")]
-    if unknown := [name for name in names if name not in {*pictures(), "film"}]:
+    if unknown := [name for name in names if name not in {*pictures(), *FILMS}]:
         print(f"error: no page shows a figure `{unknown[0]}`", file=sys.stderr)
         return 2
     style.use()
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
-            if name == "film":
-                film(Path(folder))
+            if name in FILMS:
+                film(name, Path(folder))
             else:
                 draw(name, pictures()[name], Path(folder))
     return 0
@@ -91,16 +113,17 @@ def draw(name: str, target: Path, folder: Path) -> None:
             _write(drawn, target.with_name(drawn.name), shown, is_small=name == DEMO)
 
 
-def film(folder: Path) -> None:
-    """Fly what the film shows, and film it."""
-    fly.main([*FILMED, "--out", str(folder)])
-    first, *others = (str(folder / name) for name in FILMED)
-    titles = [CONTROLLERS[name].label for name in FILMED.values()]
-    shown = ["--beside", *others, "--titles", *titles, *CUT.split()]
-    words = ["view", "video", first, *shown, "--out", str(folder / FILM.name)]
+def film(name: str, folder: Path) -> None:
+    """Fly what a film shows, and film it."""
+    film, target = FILMS[name], Film.path(name)
+    fly.main([*film.shown, "--out", str(folder)])
+    first, *others = (str(folder / run) for run in film.shown)
+    titles = [CONTROLLERS[controller].label for controller in film.shown.values()]
+    shown = ["--beside", *others, "--titles", *titles, *film.cut.split()]
+    words = ["view", "video", first, *shown, "--out", str(folder / target.name)]
     subprocess.run([sys.executable, "-m", "jax_aero", *words], check=True)
-    made = {run: of_flight(read_json(folder / run / places.MANIFEST_FILE, dict)) for run in FILMED}
-    FILM.write_bytes(described((folder / FILM.name).read_bytes(), json.dumps(made)))
+    made = {run: of_flight(read_json(folder / run / places.MANIFEST_FILE, dict)) for run in film.shown}
+    target.write_bytes(described((folder / target.name).read_bytes(), json.dumps(made)))
 
 
 def described(film: bytes, text: str) -> bytes:

@@ -33,6 +33,7 @@ CODE = re.compile(r"^Code: (?P<places>.*)$", re.MULTILINE)
 MODEL = "model"
 """Folder of the pages that hold the equations."""
 WIDE = {"deviations.md", "paper.md"}
+README = Path(__file__).resolve().parents[1] / "README.md"
 LAB = Path(__file__).resolve().parents[1] / "target/lab"
 """The flight lab, if `make lab` has built it."""
 LAB_PAGE = "look/fly/index.html"
@@ -42,6 +43,7 @@ WIDE_TABLE = 4
 """Least number of columns of a table that a telephone shows as cards."""
 PICTURE = re.compile(r"(?P<shown>!\[[^\]]*\])\((?P<path>\w+\.png)\)")
 ALONE = re.compile(r'<p>(<img alt="([^"]+)"[^>]*>)</p>')
+SECTION = re.compile(r'^--8<-- "README\.md:(?P<name>\w+)"$', re.MULTILINE)
 LINK = re.compile(r"\[(?P<text>[^\]]+)\]\((?P<path>[^):#\s]+)(?P<part>#[^)]*)?\)")
 NOTEBOOKS = sorted(Path(__file__).parent.glob("notebooks/*.ipynb"))
 SITE = {
@@ -128,6 +130,15 @@ def study_page(name: str) -> str:
     return PICTURE.sub(rf"\g<shown>({name}/\g<path>)", text.replace("](../../../docs/", "](../"))
 
 
+def section_of_readme(include: re.Match[str]) -> str:
+    """Return a section of the README, whose links start at the root of a clone."""
+    marker = "<!-- --8<-- [{}:{}] -->\n"
+    text = README.read_text(encoding="utf-8")
+    _, text = text.split(marker.format("start", include["name"]))
+    text, _ = text.split(marker.format("end", include["name"]))
+    return text.replace("](docs/", "](")
+
+
 def link_site(markdown: str, page: str) -> str:
     """Return a page, whose links lead to files of a clone, with those of the site; `page` is its path in `docs/`.
 
@@ -152,6 +163,7 @@ def link_site(markdown: str, page: str) -> str:
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
     """Typeset equations, put the lab in place of its comment, link `[M12]` to its equation."""
     docs = Path(config["docs_dir"])
+    markdown = SECTION.sub(section_of_readme, markdown)
     if page.file.src_path in WIDE:
         page.meta["hide"] = ["navigation", "toc"]
     elif page.file.src_path.startswith("results/"):

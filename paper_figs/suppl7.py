@@ -27,8 +27,8 @@ def draw(*runs: xr.Dataset) -> Figure:
 
 TESTS = ("test1", "test2", "test3", "robustness")
 FIGURES = {
-    "suppl7": Entry(draw, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; lever arms corrected", "flight", TESTS),
+    "suppl7": Entry(draw, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; corrected arms", "flight", TESTS),
     "suppl7_published": Entry(
-        draw, "Suppl. Fig. 7; lever arms as published", "flight", tuple(f"{name}_published" for name in TESTS)
+        draw, "Suppl. Fig. 7; published arms", "flight", tuple(f"{name}_published" for name in TESTS)
     ),
 }

@@ -18,11 +18,11 @@ class Controller(NamedTuple):
 
 CONTROLLERS: Mapping[str, Controller] = {
     "baseline": Controller(
-        "published, no model", "the published law without aerodynamics", "exact measurements", "what wind does"
+        "baseline", "the published controller without aerodynamics", "exact measurements", "what wind does"
     ),
     "aero_aware": Controller(
-        "published, with model",
-        "an aerodynamic model in momentum and torques",
+        "aware",
+        "the published controller: an aerodynamic model in momentum and torques",
         "measured wind, exact measurements",
         "the paper's flights",
     ),
@@ -33,16 +33,16 @@ CONTROLLERS: Mapping[str, Controller] = {
         "air that nobody has modelled",
     ),
     "observer": Controller(
-        "observer, with model", "observer and aerodynamic model", "measured wind", "a robot that differs from its model"
+        "observer", "observer and aerodynamic model", "measured wind", "a robot that differs from its model"
     ),
     "estimator": Controller("estimator", "a state estimator", "ages of the measurements", "late, noisy sensors"),
     "mpc": Controller(
-        "predictive",
+        "predictive law",
         "model predictive control, without the estimator",
         "a mission known 0.8 s ahead",
         "turbulence, an engine's loss",
     ),
-    "mpc_estimator": Controller("predictive, estimator", "both", "the same", "late, noisy sensors"),
+    "mpc_estimator": Controller("predictive law, estimator", "both", "the same", "late, noisy sensors"),
     "robot": Controller(
         "recommended",
         "all of these, with engines, drives and latencies in the model (iRonCub-Mk3: `mk3_robot`)",

@@ -18,9 +18,9 @@ OURS: Mapping[str, Entry] = {
     ),
     "demo": Entry(
         demo.draw,
-        "three controllers, lever arms corrected and as published",
+        "four controllers in 18 m/s from ahead",
         "flight",
-        ("test1", "test2", "test1_observer", "test1_published", "test2_published", "test1_published_observer"),
+        ("test1_gale", "test2_gale", "test1_observer_gale", "robot_gale"),
     ),
 }
 """Figures that every installation has."""

@@ -1,4 +1,4 @@
-"""The use of aerodynamic feedback: three controllers, with lever arms corrected and as published."""
+"""The use of aerodynamic feedback: four controllers in a wind in which the baseline is lost."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from jax_aero.base import flights
 from jax_aero.base.controllers import CONTROLLERS
 from jax_aero.figures import panels, style
 
-COLUMNS = ("lever arms corrected", "lever arms as published")
 LINES: Sequence[tuple[str, str, str]] = (
     ("baseline", style.VERMILION, "-"),
     ("aero_aware", style.BLUE, "--"),
     ("observer_without_model", style.GREEN, ":"),
+    ("robot", style.BLACK, "-."),
 )
 """Controllers, with colours and dashes."""
 WIDTH = 4.0
@@ -23,25 +23,20 @@ WIDTH = 4.0
 
 
 def draw(*runs: xr.Dataset) -> Figure:
-    """Draw six runs: those of `LINES` with lever arms corrected, then the same as published."""
+    """Draw four runs in the same wind, of the controllers of `LINES`."""
     figure = style.figure(4.6, WIDTH)
-    grid = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(1.3, 1.3, 0.8))
-    for column, title in enumerate(COLUMNS):
-        same_arms = runs[len(LINES) * column :][: len(LINES)]
-        grid[0, column].set_title(title, weight="bold")
-        for axes, of in zip(grid[:, column], (flights.rotation_error, flights.com_error), strict=False):
-            for run, (controller, colour, dash) in zip(same_arms, LINES, strict=True):
-                panels.line(axes, of(flights.until_loss(run)), dash, color=colour, label=CONTROLLERS[controller].label)
-                panels.mark_loss(axes, run, labelled=of is flights.rotation_error)
-        longest = max(same_arms, key=lambda run: run.sizes["time"])
-        panels.line(grid[-1, column], longest["wind"].sel(xyz="y"), color=style.BLACK)
-        grid[-1, column].set_xlabel("time [s]")
-    for left, right in grid:
-        left.set_ylabel(left.get_ylabel().replace(" ", "\n", 1))
-        right.set_ylabel("")
-    grid[-1, 0].set_ylabel("side wind\n[m/s]")
-    style.legend(grid[0, 0], framealpha=0.0)
-    for axes in grid[:2, 0]:
-        axes.set_ylim(bottom=0.0)  # last, since it disables autoscaling, for the whole row
-    grid[0, 0].set_xlim(0.0, max(float(run["time"][-1]) for run in runs))
+    rotation, position, wind = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.3, 0.8))
+    for axes, of in ((rotation, flights.rotation_error), (position, flights.com_error)):
+        for run, (controller, colour, dash) in zip(runs, LINES, strict=True):
+            panels.line(axes, of(flights.until_loss(run)), dash, color=colour, label=CONTROLLERS[controller].label)
+            panels.mark_loss(axes, run, labelled=axes is rotation)
+        axes.set_ylim(bottom=0.0)
+    longest = max(runs, key=lambda run: run.sizes["time"])
+    panels.line(wind, -longest["wind"].sel(xyz="x"), color=style.BLACK)  # of the air, which moves backwards
+    wind.set_ylabel("head wind\n[m/s]")
+    wind.set_xlabel("time [s]")
+    for axes in (rotation, position):
+        axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
+    style.legend(position, framealpha=0.0, loc="center right")
+    wind.set_xlim(0.0, float(longest["time"][-1]))
     return figure

@@ -26,7 +26,7 @@ REFERENCE: Colour = (0, 158, 115)
 TRAIL: Colour = (204, 121, 167)
 PLUME: Colour = (230, 159, 0)
 GHOST: Colour = (104, 78, 170)
-FELL: Colour = (213, 94, 0)
+LOST: Colour = (213, 94, 0)
 COMPLETED: Colour = (0, 120, 90)
 
 SHADOW: Colour = (92, 96, 106)
@@ -98,6 +98,19 @@ class Camera(NamedTuple):
     elevation_deg: float
     distance: float
 
+    @property
+    def axes(self) -> Vector:
+        """Unit vectors of a picture to its right, down and ahead, the rows of (3, 3)."""
+        azimuth, elevation = np.deg2rad([self.azimuth_deg, self.elevation_deg])
+        ahead = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+        return np.stack([right, np.cross(ahead, right), ahead])
+
+    @property
+    def eye(self) -> Vector:
+        """Its own place [m]."""
+        return np.asarray(self.look_at - self.distance * self.axes[2])
+
 
 def camera_at(recording: Recording, time: float, viewpoint: Viewpoint, distance: float) -> Camera:
     """Return a camera at a distance [m] from the centre of mass: behind and above it, or to the robot's right.
@@ -165,19 +178,34 @@ class Scene(AbstractContextManager["Scene"]):
         ]
 
     @abstractmethod
-    def picture(self, time: float, camera: Camera, *, trail: bool = True) -> NDArray[np.uint8]:
-        """Return the picture at a time [s], (height, width, 3), without text."""
+    def picture(self, time: float, camera: Camera, *, trail: bool = True, forces: bool = True) -> NDArray[np.uint8]:
+        """Return the picture at a time [s], (height, width, 3), without text; `forces` are those of the air."""
 
     def pixels_per_metre(self, camera: Camera) -> float:
         """Return the scale of the picture at the distance of the point looked at [pixels/m]."""
         return focal_length(self.height) / camera.distance
 
+    def stopped(self, time: float, camera: Camera) -> Iterator[Vector]:
+        """Yield the place in the picture of each engine that has stopped [pixels], (2,)."""
+        now, look = self.recording.at(time), self.recording.look
+        for jet, is_stopped in zip(look.jets, now.stopped, strict=True):
+            if is_stopped:
+                nozzle = now.body_positions[jet.body] + now.body_rotations[jet.body] @ jet.position
+                across, down, ahead = camera.axes @ (nozzle - camera.eye)
+                if ahead > 0.0:
+                    middle = 0.5 * np.array([self.width, self.height])
+                    yield middle + focal_length(self.height) / ahead * np.array([across, down])
+
     def bodies(self, time: float) -> Iterator[Solid]:
-        """Yield the shapes of the robot and of the ghost, and the exhaust of every jet, as long as its thrust."""
+        """Yield the shapes of the robot and of the ghost, and the exhaust of every jet, as long as its thrust.
+
+        An engine that has stopped has the colour of a loss.
+        """
         flights = (self.recording, self.ghost)
         for flight, meshes, is_ghost in zip(flights, self.meshes, (False, True), strict=False):
             assert flight is not None
             now = flight.at(time)
+            stopped = {jet.link for jet, is_stopped in zip(flight.look.jets, now.stopped, strict=True) if is_stopped}
             for shape, mesh in zip(flight.look.shapes, meshes, strict=True):
                 rotation = now.body_rotations[shape.body]
                 position = now.body_positions[shape.body] + rotation @ shape.body_from_shape.position
@@ -186,7 +214,8 @@ class Scene(AbstractContextManager["Scene"]):
                     yield Solid(mesh, position, stretch, GHOST, GHOST_OPACITY)
                 else:
                     has_shadow = shape.role != "strut" and bool(position[2] > 0.0)
-                    yield Solid(mesh, position, stretch, ROLES[shape.role], has_shadow=has_shadow)
+                    colour = LOST if shape.name in stopped else ROLES[shape.role]
+                    yield Solid(mesh, position, stretch, colour, has_shadow=has_shadow)
         now = self.recording.at(time)
         for jet, thrust in zip(self.recording.look.jets, now.thrust, strict=True):
             length = SCALES["thrust"] * max(float(thrust), 0.0)
@@ -196,10 +225,10 @@ class Scene(AbstractContextManager["Scene"]):
                 stretch = rotation_onto(rotation @ jet.axis) * [PLUME_RADIUS, PLUME_RADIUS, length]
                 yield Solid(self.cone, nozzle, stretch, PLUME, PLUME_OPACITY)
 
-    def arrows(self, time: float) -> Iterator[Solid]:
-        """Yield the arrows of the links' aerodynamic forces and of the wind."""
+    def arrows(self, time: float, *, forces: bool) -> Iterator[Solid]:
+        """Yield the arrows of the wind and, with `forces`, of the links' aerodynamic forces."""
         now = self.recording.at(time)
-        for ends in force_arrows(self.recording.look, now):
+        for ends in force_arrows(self.recording.look, now) if forces else ():
             yield from self._arrow(ends, 0.0105, FORCE)
         if (wind := wind_arrow(now)) is not None:
             yield from self._arrow(wind, 0.03, WIND)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ SIGNALS = rust.signals()
 INK: Colour = (32, 36, 44)
 SOFT: Colour = (88, 94, 104)
 PAPER: Colour = (255, 255, 255)
+RING = 0.2  # m, radius of the ring around an engine that has stopped
 
 
 @functools.lru_cache
@@ -84,8 +85,8 @@ def letter_row(
 ) -> Any:
     """Join pictures (h, w, 3), with rows of text above and below, `bands`, and a clock that runs until `end` [s].
 
-    Above each is its flight's title, below it the rotation error and, at its end, the outcome. Letters are twice as
-    large as those of a whole video.
+    Above each is its flight's title, below it the errors and, at its end, the outcome. Letters are twice as large as
+    those of a whole video.
     """
     height, panel = pictures[0].shape[:2]
     row = np.hstack(pictures)
@@ -100,14 +101,16 @@ def letter_row(
     for number, (flight, lines) in enumerate(zip(flights, titles, strict=True)):
         middle = number * panel + panel // 2
         for line, words in enumerate(lines):
-            text(draw, (middle, bands[0] * (1 + 2 * line) / 4), words, letters, INK, "mm")
+            text(draw, (middle, bands[0] * (1 + 2 * line) / (2 * len(lines))), words, letters, INK, "mm")
         if time >= flight.duration:
-            badge(draw, (middle, upper), flight, int(0.9 * letters), "mm", _outcome(flight))
+            words = _outcome(flight)
+            share = min(1.0, (panel - size) / font(letters).getlength(words))
+            badge(draw, (middle, upper), flight, int(0.9 * share * letters), "mm", words)
         else:
-            text(draw, (middle, upper), rotation_error(flight.at(time)), letters, INK, "mm")
+            text(draw, (middle, upper), errors(flight.at(time)), letters, INK, "mm")
         if words := stopped(flight.at(time)):
-            place = middle, bands[0] + height - letters
-            label(draw, place, words, int(0.9 * letters), drawing.FELL, "mm")
+            place = middle, bands[0] + height - 3 * letters // 2
+            label(draw, place, words, int(0.9 * letters), drawing.LOST, "mm")
         if number:
             draw.rectangle((number * panel - 1, 0, number * panel, bands[0] + height), fill=PAPER)
     wind = max(np.linalg.norm(flight.at(time).wind) for flight in flights)
@@ -125,22 +128,37 @@ def letter_row(
     return np.asarray(joined)
 
 
+def ring(pixels: Any, places: Iterable[Vector], pixels_per_metre: float) -> Any:
+    """Return a picture (h, w, 3) with a ring around each place, of an engine that has stopped."""
+    picture = Image.fromarray(pixels)
+    draw = ImageDraw.Draw(picture)
+    for place in places:
+        draw.circle(tuple(place), RING * pixels_per_metre, outline=drawing.LOST, width=max(picture.height // 90, 2))
+    return np.asarray(picture)
+
+
 def rotation_error(now: Instant) -> str:
     """Return the rotation error in words."""
     return shown(SIGNALS["rotation_error"], now.rotation_error).said(".0f")
 
 
+def errors(now: Instant) -> str:
+    """Return rotation error and distance of the centre of mass from its reference in few words."""
+    return f"error {np.rad2deg(now.rotation_error):.0f}°, {np.linalg.norm(now.com - now.com_setpoint):.1f} m"
+
+
 def stopped(now: Instant) -> str:
-    """Return in words how many engines have stopped, with less than 3 % of the greatest thrust, or nothing."""
-    count = int(np.sum(now.thrust < 0.03 * np.max(now.thrust)))
+    """Return in words how many engines have stopped, or nothing."""
+    count = int(np.sum(now.stopped))
     return f"{count} of {len(now.thrust)} engines stopped" if count else ""
 
 
 def _outcome(flight: Recording) -> str:
-    """Return how a flight ended, in few words: with the speed of the touch-down if it came down."""
+    """Return how a flight ended, in few words: why it is lost, with the speed of the touch-down if it came down."""
     speed = np.linalg.norm(flight.at(flight.duration).com_velocity)
     words = {"landed": f"landed at {speed:.1f} m/s", "crashed": f"crashed at {speed:.1f} m/s"}
-    return words.get(flight.outcome, flight.verdict.partition(" (")[0])
+    lost = f"lost: {flight.lost_reason}" if flight.lost_reason else flight.verdict
+    return words.get(flight.outcome, lost)
 
 
 def _bar(draw: ImageDraw.ImageDraw, size: tuple[int, int], share: float) -> None:
@@ -150,9 +168,11 @@ def _bar(draw: ImageDraw.ImageDraw, size: tuple[int, int], share: float) -> None
 
 
 def _lines(words: str) -> list[str]:
-    """Return words in two lines of nearly equal length."""
+    """Return words in two lines of nearly equal length, a single word in one."""
     spaces = [place for place, letter in enumerate(words) if letter == " "]
-    split = min(spaces, key=lambda place: abs(2 * place - len(words)), default=len(words))
+    if not spaces:
+        return [words]
+    split = min(spaces, key=lambda place: abs(2 * place - len(words)))
     return [words[:split], words[split + 1 :]]
 
 
@@ -193,7 +213,7 @@ def badge(
     words: str | None = None,
 ) -> None:
     """Draw the outcome, or `words` instead, on a background of the outcome's colour."""
-    colour = drawing.COMPLETED if recording.outcome in UPRIGHT else drawing.FELL
+    colour = drawing.COMPLETED if recording.outcome in UPRIGHT else drawing.LOST
     label(draw, place, recording.verdict if words is None else words, size, colour, anchor)
 
 

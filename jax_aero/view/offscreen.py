@@ -100,8 +100,8 @@ class Studio(Scene):
         # Freed here explicitly, since at the end of the process it would be too late.
         del self._drawer, self._context
 
-    def picture(self, time: float, camera: Camera, *, trail: bool = True) -> NDArray[np.uint8]:
-        """Return the picture at a time [s], (height, width, 3), without text."""
+    def picture(self, time: float, camera: Camera, *, trail: bool = True, forces: bool = True) -> NDArray[np.uint8]:
+        """Return the picture at a time [s], (height, width, 3), without text; `forces` are those of the air."""
         mj, scene = self._mj, self._scene
         view = mj.MjvCamera()
         view.type = mj.mjtCamera.mjCAMERA_FREE
@@ -112,7 +112,7 @@ class Studio(Scene):
             if solid.has_shadow:
                 self._add(shadow_of(solid), specular=0.0)
             self._add(solid)
-        for solid in self.arrows(time):
+        for solid in self.arrows(time, forces=forces):
             self._add(solid)
         for line in self.lines(time, trail=trail):
             for start, end in itertools.pairwise(line.points):

@@ -32,8 +32,8 @@ class Painter(Scene):
     def __exit__(self, *_: object) -> None:
         """Nothing is held."""
 
-    def picture(self, time: float, camera: Camera, *, trail: bool = True) -> NDArray[np.uint8]:
-        """Return the picture at a time [s], (height, width, 3), without text."""
+    def picture(self, time: float, camera: Camera, *, trail: bool = True, forces: bool = True) -> NDArray[np.uint8]:
+        """Return the picture at a time [s], (height, width, 3), without text; `forces` are those of the air."""
         canvas, bodies = _Canvas(self.width, self.height, camera), list(self.bodies(time))
         for solid in bodies:
             if solid.has_shadow:
@@ -41,7 +41,7 @@ class Painter(Scene):
         for line in self.lines(time, trail=trail):
             canvas.line(line.points, line.colour, 2.0 * line.radius)
         canvas.paint(bodies)
-        canvas.paint(list(self.arrows(time)))  # in front, as their tails are within the bodies
+        canvas.paint(list(self.arrows(time, forces=forces)))  # in front, as their tails are within the bodies
         return canvas.pixels()
 
 
@@ -60,13 +60,9 @@ class _Canvas:
 
     def __init__(self, width: int, height: int, camera: Camera) -> None:
         self.size = OVERSAMPLING * width, OVERSAMPLING * height
-        azimuth, elevation = np.deg2rad([camera.azimuth_deg, camera.elevation_deg])
-        ahead = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-        self._axes = np.stack([right, np.cross(ahead, right), ahead])  # right, down, ahead
-        self._eye = camera.look_at - camera.distance * ahead
+        self._axes, self._eye = camera.axes, camera.eye
         self._focus = drawing.focal_length(self.size[1])
-        horizon = 0.5 * self.size[1] + self._focus * np.tan(elevation)
+        horizon = 0.5 * self.size[1] + self._focus * np.tan(np.deg2rad(camera.elevation_deg))
         share = np.clip(np.arange(self.size[1]) / max(horizon, 1.0), 0.0, 1.0)[:, None]
         rows = (1.0 - share) * SKY[0] + share * SKY[1]
         rows[np.arange(self.size[1]) > horizon] = GROUND[0]

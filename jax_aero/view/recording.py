@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jax_aero import rust
 from jax_aero.base import documents, typed_config
@@ -71,6 +72,11 @@ class Instant(NamedTuple):
     thrust: Vector
     wind: Vector
     aero_force: Vector
+
+    @property
+    def stopped(self) -> NDArray[np.bool_]:
+        """Which engines have stopped, (jets,): with less than 3 % of the greatest thrust."""
+        return np.asarray(self.thrust < 0.03 * np.max(self.thrust))
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,8 @@ class Mount:
     """A point with a direction on a body: a jet (direction of its exhaust) or an aerodynamic link (its axis)."""
 
     name: str
+    link: str
+    """Its link in the URDF."""
     body: int
     position: Vector
     """Position [m], body axes."""
@@ -155,13 +157,13 @@ def _struts(robot: rust.Robot, shapes: list[Shape]) -> list[Shape]:
 
 def _jet(entry: dict[str, Any], body: int, body_from_frame: Pose) -> Mount:
     exhaust = -body_from_frame.rotation @ np.asarray(entry["axis"], dtype=np.float64)
-    return Mount(entry["name"], body, body_from_frame.position, exhaust)
+    return Mount(entry["name"], entry["frame"], body, body_from_frame.position, exhaust)
 
 
 def _link(entry: dict[str, Any], body: int, body_from_link: Pose) -> Mount:
     centre = body_from_link @ Pose(IDENTITY.rotation, np.asarray(entry["centre"], dtype=np.float64))
     axis = body_from_link.rotation @ np.asarray(entry["axis"], dtype=np.float64)
-    return Mount(entry["name"], body, centre.position, axis)
+    return Mount(entry["name"], entry["frame"], body, centre.position, axis)
 
 
 def rotation_onto(axis: Vector) -> Vector:

@@ -139,20 +139,25 @@ def _frames(draw: Callable[[float], Any], times: Sequence[float], progress: Prog
 
 def _single(scene: Scene, camera: Camera, time: float, end: float) -> Any:
     """Return one scene with all text."""
-    from jax_aero.view.labels import letter_video
+    from jax_aero.view.labels import letter_video, ring
 
     recording = scene.recording
-    pixels, scale = scene.picture(time, camera), scene.pixels_per_metre(camera)
+    scale = scene.pixels_per_metre(camera)
+    pixels = ring(scene.picture(time, camera), scene.stopped(time, camera), scale)
     ended = [flight for flight in (recording, scene.ghost) if flight is not None and time >= flight.duration]
     return letter_video(pixels, recording, time, scale, scene.ghost, ended=ended, end=end)
 
 
 def _row(scenes: Sequence[Scene], bands: tuple[int, ...], cameras: Sequence[Camera], time: float, end: float) -> Any:
     """Return scenes side by side, with few words that remain legible when the picture is small."""
-    from jax_aero.view.labels import letter_row
+    from jax_aero.view.labels import letter_row, ring
 
-    pictures = [scene.picture(time, camera) for scene, camera in zip(scenes, cameras, strict=True)]
+    # Arrows of forces would hide a robot this small, and nothing would name them.
     scale = scenes[0].pixels_per_metre(cameras[0])
+    pictures = [
+        ring(scene.picture(time, camera, forces=False), scene.stopped(time, camera), scale)
+        for scene, camera in zip(scenes, cameras, strict=True)
+    ]
     return letter_row(pictures, bands, [scene.recording for scene in scenes], time, end, scale)
 
 

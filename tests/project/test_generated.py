@@ -31,10 +31,11 @@ def test_the_gallery_shows_flights_and_tables():
     assert {path.stem for path in (ROOT / "docs/img/gallery").glob("*.png")} <= FLOWN
 
 
-@pytest.mark.parametrize("name", sorted({*FLOWN, "film"}))
+@pytest.mark.parametrize("name", sorted({*FLOWN, *gallery.FILMS}))
 def test_pictures_of_flights_are_of_these_flights(name):
-    runs = gallery.FILMED if name == "film" else FIGURES[name].runs
-    shown = gallery.made_of(gallery.FILM if name == "film" else gallery.pictures()[name])
+    film = gallery.FILMS.get(name)
+    runs = film.shown if film else FIGURES[name].runs
+    shown = gallery.made_of(gallery.Film.path(name) if film else gallery.pictures()[name])
     if not runs:
         assert shown == gallery.tables(FIGURES[name])
     flown_here = [run for run in runs if rust.load_config(run)["backend"] == "rust"]  # the same bits everywhere
@@ -42,6 +43,24 @@ def test_pictures_of_flights_are_of_these_flights(name):
     for run in flown_here:
         flown = rust.fly(rust.load_config(run))
         assert shown[run] == gallery.of_flight({"outcome": flown.outcome, "summary": flown.summary}), run
+
+
+def share(name: str, of: str, **levels: str) -> str:
+    """Return a share of a stored sweep, over its cells at these levels, as a sentence has it."""
+    document = kept.read(name)
+    cells = [dict(zip(document.columns, row, strict=True)) for row in document.rows]
+    chosen = [cell for cell in cells if levels.items() <= cell.items()]
+    return f"{sum(cell[of] for cell in chosen)} of {sum(cell['flights'] for cell in chosen)}"
+
+
+def test_captions_of_the_films_state_stored_shares():
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    gale = {"world": "corrected arms, 18 m/s from ahead"}
+    baseline = share("ablation_terms", "completed", feedback="nothing (baseline)", **gale)
+    aware = share("ablation_terms", "completed", feedback="everything", **gale)
+    assert f"it completes {baseline} such flights, the aware controller {aware}." in text
+    landed = share("robot_mission_loss", "landed", mission="the paper's, 19 s")
+    assert f"at five times of this flight {landed} perturbed robots do" in text
 
 
 def git(*words: str) -> subprocess.CompletedProcess[str]:

@@ -14,7 +14,7 @@ from jax_aero import __main__ as commands
 from jax_aero.base import places
 from jax_aero.commands import view as cli
 from jax_aero.view import Refused, offscreen, recording, video
-from jax_aero.view.drawing import GHOST, camera_at
+from jax_aero.view.drawing import FORCE, GHOST, camera_at
 from jax_aero.view.painter import Painter
 from tests.view.conftest import near
 
@@ -94,6 +94,7 @@ def test_two_flights_side_by_side_are_each_drawn_alone_and_with_their_outcomes(f
             halves.append((picture[:110, :158], picture[:110, 162:]))
     for half in (*halves[0], *halves[1]):
         assert colours(half) > 500
+        assert near(half, FORCE) < 5  # nothing would say what the arrows are
     (left, right), (left_later, right_later) = halves
     assert np.abs(left - left_later).mean() > 10.0 * np.abs(right - right_later).mean()
     with pytest.raises(Refused, match="expected at most one of them"):

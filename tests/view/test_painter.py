@@ -5,16 +5,18 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from jax_aero import rust
 from jax_aero.body.mesh import box
 from jax_aero.view import recording
-from jax_aero.view.drawing import FORCE, PLUME, TRAIL, Camera, focal_length
+from jax_aero.view.drawing import FORCE, LOST, PLUME, TRAIL, Camera, focal_length
 
 pytest.importorskip("PIL.Image", reason="Pillow is not installed: make setup")
-from jax_aero.view import painter
+from jax_aero.view import labels, painter
 from tests.view.conftest import near
 
 CAMERA = Camera(np.array([1.0, -2.0, 1.5]), 30.0, -20.0, 4.0)
@@ -99,3 +101,25 @@ def test_a_ghost_is_translucent_and_in_the_same_scene(fallen):
     earlier = replace(seen, signals={**seen.signals, "time": seen.signals["time"] + 3.0})
     ghost = painter.Painter(seen, 160, 96, ghost=earlier).picture(20.0, camera).astype(int)
     assert (np.abs(alone - ghost).sum(axis=2) > 20).sum() > 300
+
+
+@pytest.mark.parametrize("engine", range(4))
+@pytest.mark.parametrize("azimuth", [32.0, 122.0, 212.0])
+def test_an_engine_that_has_stopped_is_coloured_and_in_a_ring(engine, azimuth, standing):
+    """The ring is drawn over the robot, and shows the engine where it is hidden."""
+    flight = standing(Path(rust.load_config("test2")["robot"]))
+    camera = Camera(flight.at(1.0).com, azimuth, -16.0, 3.3)
+    scene = painter.Painter(flight, 400, 400)
+    assert near(scene.picture(1.0, camera), LOST) == 0
+    assert list(scene.stopped(1.0, camera)) == []
+    flight.signals["thrust"][:, engine] = 0.5
+    picture, (place,) = scene.picture(1.0, camera), scene.stopped(1.0, camera)
+    metre = scene.pixels_per_metre(camera)
+    cosine = picture @ np.array(LOST) / (np.linalg.norm(picture.astype(float), axis=2) * np.linalg.norm(LOST))
+    seen = np.argwhere(cosine > 0.995)[:, ::-1]
+    assert not seen.size or np.linalg.norm(seen.mean(axis=0) - place) < 0.3 * metre
+    ringed = labels.ring(picture, [place], metre)
+    ring = np.argwhere((ringed != picture).any(axis=2))[:, ::-1]
+    radii = np.linalg.norm(ring - place, axis=1)  # drawn inwards, 4 pixels wide, in whole pixels
+    assert ring.size > 200
+    assert labels.RING * metre - 6.0 < radii.min() < radii.max() < labels.RING * metre + 2.0

@@ -287,3 +287,14 @@ def test_a_picture_says_how_many_engines_have_stopped(engines, words, standing):
     thrust = now.thrust.copy()
     thrust[engines] = 0.5
     assert labels.stopped(now._replace(thrust=thrust)) == words
+
+
+def test_a_picture_of_several_flights_says_why_one_is_lost(standing):
+    flight = standing(rust.load_config("test2")["robot"])
+    assert labels.errors(flight.at(1.0)) == "error 0°, 0.0 m"
+    flight.signals["com_setpoint"][:, 0] += 0.5
+    flight.signals["rotation_error"][:] = np.deg2rad(45.0)
+    assert labels.errors(flight.at(1.0)) == "error 45°, 0.5 m"
+    lost = replace(flight, outcome="fell", lost_time=27.6, lost_reason="CoM error 1.00 m")
+    assert labels._outcome(lost) == "lost: CoM error 1.00 m"
+    assert labels._outcome(flight) == "completed"

@@ -15,7 +15,7 @@ COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, st
 
 
 def draw(study: xr.Dataset) -> Figure:
-    """Draw fuel, and the least clearance of the four jets with lever arms corrected and as published."""
+    """Draw fuel, and the least clearance of the four jets with corrected arms and as published."""
     figure = style.figure(5.4)
     grid = figure.subplot_mosaic("aa;bc", sharex=True, height_ratios=(1.0, 1.1))
     left, corrected, published = (grid[letter] for letter in "abc")
@@ -39,8 +39,8 @@ def draw(study: xr.Dataset) -> Figure:
     left.tick_params(labelbottom=True)
     left.plot([], [], "X", color=style.VERMILION, label="lost")
     corrected.set_ylabel("exhaust axis to nearest link [mm]")
-    corrected.set_title("lever arms corrected")
-    published.set_title("lever arms as published")
+    corrected.set_title("corrected arms")
+    published.set_title("published arms")
     for axes in (corrected, published):
         axes.axhline(0.0, color=style.GREY, linewidth=0.9)
         axes.set_xlabel("time [s]")

@@ -19,7 +19,7 @@ SHOWN = {
     "spheres and cylinders": style.GREEN,
     "network, shipped": style.VERMILION,
 }
-ARMS = ("lever arms corrected", "lever arms as published")
+ARMS = ("corrected arms", "published arms")
 SIDES = {"below": "o", "above": "^"}
 CAMPAIGNS = {"exp_2022_03_21": "March", "exp_2022_11_03": "November"}
 SIGMAS = 2.0
