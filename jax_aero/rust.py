@@ -127,6 +127,7 @@ __all__ = [
     "signals",
     "step_flights",
     "summarise",
+    "summarised",
     "uniforms",
     "wind_velocity",
 ]
@@ -1004,6 +1005,8 @@ class Quantity:
         Whether only engines with ground contact have it.
     is_tabled
         Whether tables of flights show it.
+    is_error
+        Whether it is an error, of which a lost flight counts as having the greatest.
     """
 
     label: str
@@ -1015,6 +1018,7 @@ class Quantity:
     codes: Mapping[str, int]
     is_of_ground: bool
     is_tabled: bool
+    is_error: bool
 
 
 def _declared(declarations: str) -> Mapping[str, Quantity]:
@@ -1082,9 +1086,14 @@ def replay(config: Mapping[str, Any], log: Mapping[str, ArrayLike]) -> dict[str,
 def summarise(log: Mapping[str, ArrayLike], joint_setpoint: ArrayLike) -> dict[str, float]:
     """Return the figures of merit (`figures`) of a log, or of one whose rows have fewer numbers with the same figures.
 
-    `joint_setpoint` has the joints of its rows.
+    `joint_setpoint` has the joints of its rows. A figure is NaN if the log lacks a signal that it is computed from.
     """
     return _core.summarise({name: _array(values) for name, values in log.items()}, _array(joint_setpoint))
+
+
+def summarised() -> list[str]:
+    """Return the names of the signals that figures of merit are computed from."""
+    return _core.summarised()
 
 
 def is_input(signal: str) -> bool:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jax_aero import rust
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import load_network
 from jax_aero.base.result import FlightResult
@@ -39,33 +40,18 @@ SIZE_STEP = 8
 """Larger batches are padded to a multiple of this size: few sizes to compile, few superfluous flights."""
 
 
-SAME = (
-    "time",
-    "com_position",
-    "com_velocity",
-    "com_setpoint",
-    "rotation_error",
-    "thrust",
-    "qp_status",
-    "qp_kkt",
-    "qp_iterations",
-    "degraded_modes",
-)
-"""Signals from which figures of merit are computed as they are."""
-
-
 def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
     """Return a log, or a tick of it, with fewer numbers in a row and the same figures of merit; NumPy or JAX arrays.
 
     Its only joint has the greatest torque, and its position is the sum of the joint errors; its only link has the sums
-    of the forces.
+    of the forces. Of the other signals it has those that figures of merit are computed from.
     """
     condensed = {
         "joint_torque": abs(log["joint_torque"]).max(-1, initial=0.0, keepdims=True),
         "joint_position": abs(log["joint_position"] - joint_setpoint).sum(-1, keepdims=True),
     }
     condensed |= {name: log[name].sum(-2, keepdims=True) for name in log if name.startswith("aero_force")}
-    return {name: log[name] for name in SAME if name in log} | condensed
+    return {name: log[name] for name in rust.summarised() if name in log} | condensed
 
 
 class Group(NamedTuple):

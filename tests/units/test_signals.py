@@ -26,6 +26,31 @@ def test_a_log_and_its_condensed_form_have_the_figures_of_the_flight(flight):
         assert found[name] == pytest.approx(value, rel=1e-13, abs=1e-15), name
 
 
+@pytest.mark.parametrize("missing", sorted({*rust.summarised()} - {"time", "feet_carry", "foot_wrench"}))
+def test_figures_of_a_log_that_lacks_a_signal_are_unknown(flight, missing):
+    """Not a least thrust of 0 N: each figure is that of the whole log, or NaN, and some are NaN."""
+    log = {name: values for name, values in flight.log.items() if name != missing}
+    found = rust.summarise(log, flight.joint_setpoint)
+    unknown = {name for name, value in found.items() if np.isnan(value)}
+    assert unknown
+    assert {name: found[name] for name in found if name not in unknown} == {
+        name: value for name, value in flight.summary.items() if name not in unknown
+    }
+    expected = {"thrust": {"thrust_min", "thrust_max"}, "joint_torque": {"max_torque"}}
+    assert unknown == expected.get(missing, unknown)
+
+
+def test_a_log_without_times_is_refused(flight):
+    log = {name: values for name, values in flight.log.items() if name != "time"}
+    with pytest.raises(ValueError, match=r"has shape \[401.*\]; expected \[0"):
+        rust.summarise(log, flight.joint_setpoint)
+
+
+def test_batches_keep_every_signal_of_a_figure(flight):
+    """Not by a list of their own: a signal that a new figure reads is kept too."""
+    assert set(rust.summarised()) & {*flight.log} <= set(condense(flight.log, flight.joint_setpoint))
+
+
 def test_a_warning_lasts_from_its_first_degraded_tick_on_but_for_gaps_of_a_second():
     """Of flights without wind for 0.1 s each time."""
 

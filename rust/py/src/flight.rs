@@ -411,6 +411,12 @@ fn figures_dict<'py>(py: Python<'py>, summary: &Summary, has_ground: bool) -> Py
     Ok(figures)
 }
 
+/// Names of the signals that figures of merit are computed from.
+#[pyfunction]
+pub fn summarised() -> Vec<&'static str> {
+    Summary::signals().into_iter().collect()
+}
+
 /// Figures of merit of a log (arrays by signal, the first axis is time), whose rows may have fewer numbers with the same
 /// figures; `joint_setpoint` has the joints of its rows.
 #[pyfunction]

@@ -34,7 +34,7 @@ mod _core {
     use super::flight::{
         check_config, config_digest, figures, fly, fly_batch, load_config, load_table, path_keys,
         recorded_reference, recorded_wind, replay, resolve_aero, resolve_config, schemas, set_keys, signals,
-        summarise, wind_velocity,
+        summarise, summarised, wind_velocity,
     };
     #[pymodule_export]
     use super::noise::{normals, uniforms};

@@ -91,6 +91,8 @@ pub struct Quantity<R> {
     pub is_of_ground: bool,
     /// Whether tables of flights show it.
     pub is_tabled: bool,
+    /// Whether it is an error, of which a lost flight counts as having the greatest.
+    pub is_error: bool,
     /// How it is read.
     #[serde(skip)]
     pub read: R,
@@ -116,6 +118,7 @@ impl<R: Copy> Quantity<R> {
             codes: &[],
             is_of_ground: false,
             is_tabled: false,
+            is_error: false,
             read,
         }
     }
@@ -143,6 +146,10 @@ impl<R: Copy> Quantity<R> {
 
     pub(crate) const fn tabled(self) -> Self {
         Self { is_tabled: true, ..self }
+    }
+
+    pub(crate) const fn error(self) -> Self {
+        Self { is_error: true, ..self }
     }
 
     pub(crate) const fn of_ground(self) -> Self {

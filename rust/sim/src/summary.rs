@@ -4,17 +4,20 @@
 
 use crate::log::{FlightLog, Series};
 use crate::quantity::Quantity;
-use crate::signals::MODES;
+use crate::signals::{MODES, SIGNALS};
 use flight_core::control::Modes;
 use nalgebra::Vector3;
+use std::cell::RefCell;
+use std::collections::BTreeSet;
 
 /// The declaration of a figure of merit.
 pub type Figure = Quantity<fn(&Flown) -> f64>;
 
 macro_rules! figures {
     ($($name:ident: $declared:expr;)*) => {
-        /// Figures of merit of a flight. Each is NaN if a number from which it is computed is NaN, or if there is no
-        /// tick to compute it from; for figures after settling, if the flight ended before.
+        /// Figures of merit of a flight. Each is NaN if a number from which it is computed is NaN, if a signal that it
+        /// is computed from is not in the log, or if there is no tick to compute it from; for figures after settling,
+        /// if the flight ended before.
         #[derive(Debug, Clone, Copy, PartialEq)]
         pub struct Summary {
             $(#[doc = concat!("`", stringify!($name), "` of [`FIGURES`].")] pub $name: f64,)*
@@ -29,7 +32,7 @@ macro_rules! figures {
             pub fn new(log: &FlightLog, ticks: usize) -> Self {
                 let Some(flown) = Flown::new(log, ticks) else { return Self { $($name: f64::NAN),* } };
                 let mut figures = FIGURES.iter();
-                let mut next = || figures.next().map_or(f64::NAN, |figure| (figure.read)(&flown));
+                let mut next = || figures.next().map_or(f64::NAN, |figure| flown.figure(figure));
                 Self { $($name: next()),* }
             }
 
@@ -54,21 +57,21 @@ figures! {
     max_com_error: figure(
         "max CoM error", "m",
         "greatest distance of the centre of mass from its set-point after settling, until the robot descends",
-        |of| greatest_of(of.distances()),
-    ).shown("cm").tabled();
+        |of| greatest_of(of.com_distances()),
+    ).shown("cm").tabled().error();
     max_com_error_x: figure(
         "max CoM error along x", "m", "greatest distance from the set-point along x after settling", |of| of.along(0),
-    ).shown("cm");
+    ).shown("cm").error();
     max_com_error_y: figure(
         "max CoM error along y", "m", "greatest distance from the set-point along y after settling", |of| of.along(1),
-    ).shown("cm");
+    ).shown("cm").error();
     max_com_error_z: figure(
         "max CoM error along z", "m", "greatest distance from the set-point along z after settling", |of| of.along(2),
-    ).shown("cm");
+    ).shown("cm").error();
     max_rotation_error: figure(
         "max rotation error", "rad", "greatest angle between the base and its set-point",
-        |of| greatest(of.rotation.iter().copied()),
-    ).tabled();
+        |of| greatest(of.data("rotation_error").iter().copied()),
+    ).tabled().error();
     thrust_min: figure(
         "least thrust", "N", "least thrust of any jet",
         |of| of.data("thrust").iter().copied().reduce(lesser).unwrap_or_default(),
@@ -94,19 +97,19 @@ figures! {
     );
     rms_com_error: figure(
         "RMS CoM error", "m", "root mean square of the distance from the set-point after settling",
-        |of| root_mean_square(of.distances()),
-    ).shown("cm");
+        |of| root_mean_square(of.com_distances()),
+    ).shown("cm").error();
     rms_rotation_error: figure(
         "RMS rotation error", "rad", "root mean square of the rotation error after settling",
-        |of| root_mean_square(of.rotation.iter().skip(of.settling).copied()),
-    );
+        |of| root_mean_square(of.data("rotation_error").iter().skip(of.settling).copied()),
+    ).error();
     time_above_45_deg: figure(
         "time above 45°", "s", "time with a rotation error above 45 degrees",
-        |of| of.tick * ticks_above(of.rotation.iter().copied(), LEANING),
-    );
+        |of| of.tick * ticks_above(of.data("rotation_error").iter().copied(), LEANING),
+    ).error();
     max_joint_error_sum: figure(
         "max sum of joint errors", "rad", "greatest sum of absolute joint errors", |of| greatest(of.joint_errors()),
-    );
+    ).error();
     max_aero_force: figure(
         "max aerodynamic force", "N", "greatest total aerodynamic force in the simulator",
         |of| greatest(of.forces("aero_force_sim").map(|force| force.norm())),
@@ -131,14 +134,14 @@ figures! {
     );
     degraded_time: figure(
         "degraded time", "s", "time in which a tick has a mode other than those of solvers",
-        |of| of.tick * ticks_above(of.modes.iter().copied().map(without_solvers), 0.0),
+        |of| of.tick * ticks_above(of.modes().iter().copied().map(without_solvers), 0.0),
     );
     nominal_until: figure(
         "nominal until", "s", "time of the first such tick, without one of the last tick",
         |of| of.of_modes(of.degraded().next().unwrap_or(of.end)),
     );
     all_modes: figure(
-        "modes", "1", "modes that any tick has, a sum of bits", |of| of.of_modes(all_modes(of.modes)),
+        "modes", "1", "modes that any tick has, a sum of bits", |of| of.of_modes(all_modes(of.modes())),
     ).bits(MODES);
     end_com_x: figure("x at the end", "m", "x of the centre of mass at the end", |of| of.end_com().x);
     end_com_y: figure("y at the end", "m", "y of the centre of mass at the end", |of| of.end_com().y);
@@ -176,12 +179,10 @@ pub struct Flown<'a> {
     log: &'a FlightLog,
     ticks: usize,
     time: &'a [f64],
-    rotation: &'a [f64],
-    modes: &'a [f64],
+    /// Signals that the present figure is computed from.
+    asked: RefCell<BTreeSet<&'static str>>,
     /// Number of ticks while settling.
     settling: usize,
-    /// Offsets from the set-point after settling, until the robot descends \[m\].
-    com_errors: Vec<Vector3<f64>>,
     /// Duration of a tick, and time of the last one \[s\].
     tick: f64,
     end: f64,
@@ -189,56 +190,68 @@ pub struct Flown<'a> {
 
 impl<'a> Flown<'a> {
     fn new(log: &'a FlightLog, ticks: usize) -> Option<Self> {
-        let mut flown = Self {
-            log,
-            ticks,
-            time: &[],
-            rotation: &[],
-            modes: &[],
-            settling: 0,
-            com_errors: Vec::new(),
-            tick: 0.0,
-            end: 0.0,
-        };
-        let time = flown.data("time");
-        (flown.time, flown.rotation, flown.modes) =
-            (time, flown.data("rotation_error"), flown.data("degraded_modes"));
-        flown.end = *time.last()?;
-        flown.tick = time.get(1).copied().unwrap_or_default();
-        flown.settling = time.iter().take_while(|time| **time < SETTLING_TIME).count();
-        let before_descent = time.len() - flown.modes.iter().filter(|modes| is_descending(**modes)).count();
-        let pairs = flown.rows("com_position").zip(flown.rows("com_setpoint")).take(before_descent);
-        flown.com_errors = pairs.skip(flown.settling).map(|(com, desired)| com - desired).collect();
+        let mut flown =
+            Self { log, ticks, time: &[], asked: RefCell::default(), settling: 0, tick: 0.0, end: 0.0 };
+        flown.time = flown.data("time");
+        flown.end = *flown.time.last()?;
+        flown.tick = flown.time.get(1).copied().unwrap_or_default();
+        flown.settling = flown.time.iter().take_while(|time| **time < SETTLING_TIME).count();
         Some(flown)
     }
 
+    /// A figure of merit; NaN if a signal that it is computed from is not in the log.
+    fn figure(&self, figure: &Figure) -> f64 {
+        self.asked.take();
+        let value = (figure.read)(self);
+        if self.asked.borrow().iter().all(|name| self.has(name)) { value } else { f64::NAN }
+    }
+
+    /// Whether a signal is in the log with all its rows.
+    fn has(&self, name: &str) -> bool {
+        let rows = self.time.len();
+        self.log.series(name).is_some_and(|series| series.data.len() >= rows * series.width())
+    }
+
     /// Numbers of a signal; none if it is not in the log.
-    fn data(&self, name: &str) -> &'a [f64] {
+    fn data(&self, name: &'static str) -> &'a [f64] {
+        self.asked.borrow_mut().insert(name);
         let series = self.log.series(name);
         series.map_or(&[], |series| &series.data[..series.data.len().min(self.ticks * series.width())])
     }
 
-    fn rows(&self, name: &str) -> impl DoubleEndedIterator<Item = Vector3<f64>> + use<'a> {
+    fn modes(&self) -> &'a [f64] {
+        self.data("degraded_modes")
+    }
+
+    fn rows(&self, name: &'static str) -> impl DoubleEndedIterator<Item = Vector3<f64>> + use<'a> {
         self.data(name).chunks_exact(3).map(Vector3::from_column_slice)
     }
 
     /// Sum of the forces on all links at every tick \[N\].
-    fn forces(&self, name: &str) -> impl Iterator<Item = Vector3<f64>> + use<'a> {
+    fn forces(&self, name: &'static str) -> impl Iterator<Item = Vector3<f64>> + use<'a> {
         let width = self.log.series(name).map_or(0, Series::width).max(1);
         let total = |row: &[f64]| row.chunks_exact(3).map(Vector3::from_column_slice).sum();
         self.data(name).chunks_exact(width).map(total)
     }
 
-    fn distances(&self) -> impl Iterator<Item = f64> {
-        self.com_errors.iter().map(Vector3::norm)
+    /// Offsets of the centre of mass from its set-point after settling, until the robot descends \[m\].
+    fn com_errors(&self) -> impl Iterator<Item = Vector3<f64>> + use<'a> {
+        let descending = self.modes().iter().filter(|modes| is_descending(**modes)).count();
+        let pairs = self.rows("com_position").zip(self.rows("com_setpoint"));
+        let followed = pairs.take(self.time.len() - descending).skip(self.settling);
+        followed.map(|(com, desired)| com - desired)
+    }
+
+    fn com_distances(&self) -> impl Iterator<Item = f64> {
+        self.com_errors().map(|error| error.norm())
     }
 
     fn along(&self, axis: usize) -> f64 {
-        greatest_of(self.com_errors.iter().map(|error| error[axis].abs()))
+        greatest_of(self.com_errors().map(|error| error[axis].abs()))
     }
 
     /// The greater number of both QPs, or of the one that there is.
-    fn of_qps(&self, name: &str) -> impl Iterator<Item = f64> + use<'a> {
+    fn of_qps(&self, name: &'static str) -> impl Iterator<Item = f64> + use<'a> {
         self.data(name).chunks_exact(2).map(|both| both[0].max(both[1]))
     }
 
@@ -250,13 +263,13 @@ impl<'a> Flown<'a> {
 
     /// Times of degraded ticks.
     fn degraded(&self) -> impl DoubleEndedIterator<Item = f64> {
-        let degraded = self.time.iter().zip(self.modes).filter(|(_, modes)| without_solvers(**modes) > 0.0);
+        let degraded = self.time.iter().zip(self.modes()).filter(|(_, modes)| without_solvers(**modes) > 0.0);
         degraded.map(|(time, _)| *time)
     }
 
     /// A figure of the modes; NaN unless all are known.
     fn of_modes(&self, value: f64) -> f64 {
-        if self.modes.iter().any(|modes| modes.is_nan()) { f64::NAN } else { value }
+        if self.modes().iter().any(|modes| modes.is_nan()) { f64::NAN } else { value }
     }
 
     fn end_com(&self) -> Vector3<f64> {
@@ -279,6 +292,24 @@ impl Summary {
     pub fn figures(&self, has_ground: bool) -> impl Iterator<Item = (&'static Figure, f64)> {
         let every = FIGURES.iter().zip(self.values());
         every.filter(move |(figure, _)| has_ground || !figure.is_of_ground)
+    }
+
+    /// Names of the signals that figures are computed from.
+    #[must_use]
+    pub fn signals() -> BTreeSet<&'static str> {
+        // Figures of one row of times name what they ask for, without numbers of it.
+        let time = SIGNALS.iter().filter(|signal| signal.name == "time");
+        let time = time.map(|signal| Series { signal, row_shape: Vec::new(), data: vec![0.0] });
+        let log = FlightLog { series: time.collect(), joint_setpoint: Vec::new() };
+        let flown = Flown::new(&log, 1);
+        let asked_by = |figure: &Figure| {
+            let asked = flown.as_ref().map(|flown| {
+                flown.figure(figure);
+                flown.asked.take()
+            });
+            asked.unwrap_or_default()
+        };
+        FIGURES.iter().flat_map(asked_by).chain(["time"]).collect()
     }
 }
 

@@ -188,6 +188,33 @@ fn figures_of_an_early_end() {
     assert_eq!((of.max_rotation_error, of.time_above_45_deg), (1.0, 0.5));
 }
 
+/// A figure of a log that lacks one of its signals is NaN, never a number of nothing.
+#[test]
+fn figures_do_not_make_up_a_signal_that_is_missing() {
+    let times: Vec<f64> = (0..20).map(|tick| 0.25 * f64::from(tick)).collect();
+    let mut log = made_up_log(&times);
+    for series in log.series.iter_mut().filter(|series| series.signal.name != "time") {
+        series.data.fill(1.0);
+    }
+    let whole = Summary::new(&log, times.len());
+    assert_eq!((whole.thrust_min, whole.max_torque), (1.0, 1.0));
+    assert!(Summary::signals().contains("thrust"));
+    for name in Summary::signals() {
+        let mut without = log.clone();
+        without.series.retain(|series| series.signal.name != name);
+        let found = Summary::new(&without, times.len());
+        let pairs = || whole.figures(true).zip(found.figures(true));
+        assert!(pairs().any(|(_, (_, value))| value.is_nan()), "{name}");
+        for ((figure, before), (_, value)) in pairs() {
+            assert!(
+                value.is_nan() || value.to_bits() == before.to_bits(),
+                "{name}: {} is {value}",
+                figure.name
+            );
+        }
+    }
+}
+
 /// What is no number stays visible in every figure that is made of it.
 #[test]
 fn figures_do_not_hide_what_is_no_number() {
