@@ -5,7 +5,7 @@ A page has a block between two comments, the first of which is TOML:
 ```text
 <!-- table
 kept = "robot_missions"
-columns = ["completed", "rotation_deg_worst"]
+columns = ["completed", "rotation_error_deg_worst_of_all"]
 -->
 <!-- end -->
 ```

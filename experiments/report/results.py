@@ -91,10 +91,20 @@ class Flight:
         return run.isel(time=slice(-1)) if run.attrs["outcome"] == "diverged" else run
 
     @property
-    def joint_errors(self) -> tuple[float, float]:
-        """Return the greatest sum of joint errors over all joints, and its mean over the last seconds [deg]."""
-        error = np.degrees(abs(self.run["joint_position"] - self.run["joint_setpoint"]).sum("joint"))
-        return float(error.max()), float(error[error["time"] >= error["time"][-1] - FINAL].mean())
+    def joint_errors(self) -> dict[str, tuple[float, float]]:
+        """Return, for each part of the body, the greatest sum of its joint errors and its mean over the last seconds.
+
+        In degrees.
+        """
+        run = self.run
+        errors = np.degrees(1.0) * abs(run["joint_position"] - run["joint_setpoint"]).groupby("joint_group").sum(
+            "joint"
+        )
+        is_late = run["time"] >= run["time"][-1] - FINAL
+        return {
+            str(part).replace("_", " "): (float(error.max()), float(error[is_late.values].mean()))
+            for part, error in ((part, errors.sel(joint_group=part)) for part in errors["joint_group"].values)
+        }
 
     @property
     def asymmetry(self) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from jax_aero.base import places
 from jax_aero.results import kept, outdated
 from jax_aero.results.kept import Kept
 from jax_aero.results.outdated import ANOTHER
+from jax_aero.sweep.columns import OF_ALL
 from jax_aero.sweep.criteria import Criterion
 
 
@@ -37,6 +38,10 @@ def _find(document: Kept, asked: Criterion, differs: str) -> Finding:
     cells = [cell for cell in document.cells(twice if asked.share else frozenset()) if asked.covers(cell)]
     found = of_cells(cells, [axis.name for axis in document.axes], asked)
     verdict = judge.of_sweep(document.name, asked).judge(found.cases)
+    if unknown := [
+        column for column in asked.at_most if column.endswith(OF_ALL) and any(c[column] is None for c in cells)
+    ]:
+        verdict = Verdict.of(Kind.OUTDATED, f"`{unknown[0]}` is not kept: {kept.AGAIN}")
     if differs:
         return Finding(f"{found.text}; {ANOTHER}: {differs}", Verdict.of(Kind.OUTDATED, verdict.text), document.commit)
     return Finding(found.text, verdict, document.commit)

@@ -39,6 +39,8 @@ CHARACTERS = 125
 """Width of the legend."""
 UPRIGHT = SHARE.replace(", ", ",\n")
 """What the first panel shows; the others show figures of merit."""
+SPREAD, FROM_MEDIAN = "median, 10 to 90 %", "median to 90 %"
+"""Centre and ends of these; of results that were kept without their 10 % quantile."""
 
 
 def draw(sweep: SweepResult) -> Figure:
@@ -65,16 +67,17 @@ def _groups(cells: pd.DataFrame, axes: Sequence[dict[str, Any]]) -> list[tuple[s
     return found
 
 
-def spread(cells: pd.DataFrame, figure: str | None, said: str) -> tuple[str, Any, Any, Any]:
+def spread(cells: pd.DataFrame, figure: str | None) -> tuple[str, Any, Any, Any]:
     """Return label, centre, lower and upper end of a figure of merit for each cell; without one, of the share.
 
-    `said` is what centre and ends of a figure of merit are.
+    A figure of merit is that of upright flights, whose share is beside it.
     """
     if figure is None:
         share = 100.0 * cells["upright"] / cells["flights"].clip(lower=1)
         return UPRIGHT, share, 100.0 * cells["upright_low"], 100.0 * cells["upright_high"]
     centre, low, high = (shown_figure(figure, cells, end) for end in ("median", "p10", "p90"))
-    return f"{centre.text},\n{said}", centre.values, low.values, high.values
+    known, said = (low.values, SPREAD) if low.values.notna().any() else (centre.values, FROM_MEDIAN)
+    return f"{centre.text} of those,\n{said}", centre.values, known, high.values
 
 
 def _levels(sweep: SweepResult, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
@@ -85,7 +88,7 @@ def _levels(sweep: SweepResult, axis: dict[str, Any], groups: list[tuple[str, pd
     offsets = (np.arange(len(groups)) - (len(groups) - 1) / 2.0) * (0.66 / max(len(groups), 1))
     for axes, of in zip(row, (None, *sweep.of), strict=True):
         for (label, cells), offset, (colour, marker, _) in zip(groups, offsets, SERIES[: len(groups)], strict=True):
-            title, centre, low, high = spread(cells, of, sweep.spread)
+            title, centre, low, high = spread(cells, of)
             place = np.array([labels.index(name) for name in cells[axis["name"]]]) + offset
             axes.hlines(place, low, high, color=colour, linewidth=1.4)
             axes.plot(centre, place, marker, color=colour, markersize=3.8, label=label)
@@ -108,7 +111,7 @@ def _curves(sweep: SweepResult, axis: dict[str, Any], groups: list[tuple[str, pd
     steps = _is_geometric(values)
     for axes, of in zip(row, (None, *sweep.of), strict=True):
         for (label, cells), (colour, marker, dash) in zip(groups, SERIES[: len(groups)], strict=True):
-            title, centre, low, high = spread(cells, of, sweep.spread)
+            title, centre, low, high = spread(cells, of)
             axes.fill_between(cells[axis["name"]], low, high, color=colour, alpha=0.16, linewidth=0)
             axes.plot(cells[axis["name"]], centre, dash, marker=marker, color=colour, markersize=3.5, label=label)
         axes.set_ylabel(title)

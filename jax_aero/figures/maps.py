@@ -32,7 +32,7 @@ def draw(sweep: SweepResult) -> Figure:
         title, values, most = "flights completed or landed", sweep.cells["upright"], sweep.cells["flights"].max()
         if of is not None:
             worst = shown_figure(of, sweep.cells, "worst")
-            title, values = f"worst {worst.text.removeprefix('max ')}", worst.values
+            title, values = f"worst {worst.text.removeprefix('max ')},\nof those", worst.values
             most = MOST.get(of, values[np.isfinite(values)].max())
         for column, level in enumerate(levels):
             table = sweep.cells.assign(shown=values)

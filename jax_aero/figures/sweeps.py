@@ -15,6 +15,7 @@ from jax_aero.base.terminal import Refused
 from jax_aero.figures.runs import MissingRun, NotDrawn
 from jax_aero.results import sweep as results
 from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep import columns
 
 
 def load(folder: Path, name: str, of: Sequence[str] = ()) -> SweepResult:
@@ -39,8 +40,8 @@ def require(sweep: SweepResult, suits: bool, expected: str) -> None:
 
 
 def shown_figure(column: str, table: pd.DataFrame, quantile: str = "") -> Shown:
-    """Return a figure of merit of flights as it is shown, or a quantile of it from a table of cells."""
-    name = f"{column.removeprefix('max_')}_{quantile}" if quantile else column
+    """Return a figure of merit of flights as it is shown, or its quantile of upright flights from a table of cells."""
+    name = columns.quantile(column, quantile, columns.OF_UPRIGHT) if quantile else column
     return quantities.shown(quantities.COLUMNS[column], table[name])
 
 

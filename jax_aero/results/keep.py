@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -220,8 +221,10 @@ def fly_again(document: Kept, cell: int) -> list[Any]:
 
 
 def _shorten(value: Any) -> Any:
-    """Return numbers with `DIGITS` significant digits."""
+    """Return numbers with `DIGITS` significant digits, and the infinite error of a lost flight as a word."""
     if isinstance(value, float):
+        if value == math.inf:
+            return kept.LOST
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, Mapping):
         return {key: _shorten(item) for key, item in value.items()}

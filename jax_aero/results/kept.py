@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Set
 from functools import cache
 from typing import Any
@@ -22,12 +23,16 @@ from jax_aero.base.terminal import Refused
 from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep import aggregate
 
+AGAIN = "keep the result again (jax-aero report keep)"
 FOLDER = places.HOME / "docs" / "results"
 MOST_LEVELS = 16
 """Greatest number of levels that are drawn in rows: the picture of more repeats the table."""
 
 ALL = "all"
 """Level of an axis over which the flights of a row are pooled."""
+
+LOST = "lost"
+"""An infinite error, that of a lost flight, in a file."""
 
 
 class Axis(msgspec.Struct):
@@ -75,7 +80,7 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     """Number of flights by outcome."""
     columns: list[str] = []
     rows: list[list[Any]] = []
-    """Figures of flights, by combination of levels."""
+    """Figures of flights, by combination of levels; `None` is unknown."""
     firsts: list[list[Any]] = []
     """Outcome and figures (`keep.FIRST`) of the first flight of each cell, in the order of the sweep's cells.
 
@@ -90,7 +95,14 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
 
     def table(self, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
         """Return the rows as tables, or those of the flights pooled over some axes, whose level is then `ALL`."""
-        rows = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+        axes = {axis.name for axis in self.axes}
+        rows = [
+            {
+                name: math.inf if value == LOST and name not in axes else value
+                for name, value in zip(self.columns, row, strict=True)
+            }
+            for row in self.rows
+        ]
         if not pooled:
             return rows
         groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
@@ -102,7 +114,7 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
 
     def cells(self, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
         """Return the rows, pooled or not, with the columns of a sweep's table of cells."""
-        return [row | aggregate.as_cell(row) for row in self.table(pooled)]
+        return [row | aggregate.with_intervals(row) for row in self.table(pooled)]
 
     @property
     def sweep(self) -> SweepResult:
@@ -115,7 +127,6 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
             document | {"config_digest": self.digest},
             cells,
             each=f"flights: {self.each}",
-            spread="median to 90 % of flights that complete or land",
         )
 
     @property
@@ -139,7 +150,9 @@ def read(name: str) -> Kept:
         raise Refused(f"there is no kept result `{name}`{places.did_you_mean(name, names())}")
     found = msgspec.convert(read_json(path, Kept), Kept)
     if found.seal != seal_of(found):
-        raise Refused(f"{path} is not what was written there: keep the result again (jax-aero report keep)")
+        raise Refused(f"{path} is not what was written there: {AGAIN}")
+    if found.rows and (missing := {*aggregate.KEPT} - {*found.columns}):
+        raise Refused(f"{path} has no column `{min(missing)}`: {AGAIN}")
     return found
 
 

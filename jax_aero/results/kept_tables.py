@@ -18,6 +18,7 @@ from jax_aero.base.quantities import converted
 from jax_aero.base.terminal import Refused
 from jax_aero.results import kept
 from jax_aero.results.kept import ALL, Kept
+from jax_aero.sweep.columns import OF_ALL, OF_UPRIGHT, quantile
 from jax_aero.sweep.intervals import wilson
 
 UNIT = re.compile(r"\s*\[(?P<unit>[^\]]+)\]$")
@@ -40,6 +41,8 @@ class Value(NamedTuple):
         """Return it in a unit, a number with at least so many significant digits."""
         if self.value is None or self.value != self.value:
             return ""
+        if self.value == math.inf:
+            return kept.LOST
         if isinstance(self.value, str):
             return self.value
         value = self.value if unit is None else converted(self.value, self.unit, unit)
@@ -78,22 +81,37 @@ def of_columns(names: Names, rows: Sequence[Mapping[str, Value]], labels: Mappin
 
 # --- sweeps -----------------------------------------------------------------------------------------------------------
 
-STATISTICS = {"median": "median", "high": "90 %", "worst": "greatest"}
+STATISTICS = {"p10": "10 %", "median": "median", "p90": "90 %", "worst": "greatest"}
+POPULATIONS = {OF_ALL: "of all", OF_UPRIGHT: "of upright"}
 QUANTITIES = {
-    "rotation_deg": "rotation error",
-    "com_cm": "position error",
-    "found_s": "found after",
-    "announced_s": "announced before",
-    "lost_s": "lost at",
+    "max_rotation_error_deg": ("rotation error", "°", 1.0),
+    "max_com_error": ("position error", "cm", 100.0),
 }
-UNITS = {"deg": "°", "cm": "cm", "s": "s"}
+"""Errors as tables show them: words, unit and factor, by columns of the table of flights."""
+ERRORS = {
+    quantile(column, end, population): (f"{words}, {said} {of}", unit, factor)
+    for column, (words, unit, factor) in QUANTITIES.items()
+    for population, of in POPULATIONS.items()
+    for end, said in STATISTICS.items()
+}
+"""Heading, unit and factor of each quantile."""
+UNKNOWN = "?"
+"""An error of all flights that is not kept: that of upright ones has no number where there are none."""
+TIMES = {"found_s": "found after", "announced_s": "announced before", "lost_s": "lost at"}
 ENDS = ("completed", "landed", "landing", "off_course", "crashed", "fell")
 """Counts that add up to all flights."""
 SHOWN = {
     "share": (["share completed + landed"], "Share: with its Wilson interval of 95 %."),
     "errors": (
-        ["rotation_deg_median", "rotation_deg_worst", "com_cm_median", "com_cm_worst"],
-        "Errors: the greatest of a flight that completed or landed.",
+        [
+            quantile(column, end, population)
+            for column in QUANTITIES
+            for end, population in (("median", OF_ALL), ("median", OF_UPRIGHT), ("worst", OF_UPRIGHT))
+        ],
+        (
+            "Errors: the greatest of a flight. Of all: lost flights have the greatest, `lost`; `?` is not kept. "
+            "Of upright: flights that completed or landed."
+        ),
     ),
     "found": (["found_s"], "Found after: median time since the failure, where half of the flights find one."),
     "announced": (["announced_s"], "Announced before: median time from the first mode to the loss."),
@@ -103,11 +121,10 @@ SHOWN = {
 
 
 def _label(column: str) -> str:
-    """Return the heading of a column: `rotation_deg_worst` is "rotation error, greatest"."""
-    quantity, _, statistic = column.rpartition("_")
-    if statistic in STATISTICS:
-        return f"{QUANTITIES[quantity]}, {STATISTICS[statistic]}"
-    return QUANTITIES.get(column, column.replace("_", " "))
+    """Return the heading of a column: of `rotation_error_deg_p90_of_all` "rotation error, 90 % of all"."""
+    if column in ERRORS:
+        return ERRORS[column][0]
+    return TIMES.get(column, column.replace("_", " "))
 
 
 def rows_of(document: Kept, pooled: Set[str] = frozenset()) -> list[dict[str, Any]]:
@@ -123,11 +140,16 @@ def _figures(row: Mapping[str, Any], names: Iterable[str], axes: Iterable[str]) 
     """Return the figures of a row, and these combinations of counts, each with its flights."""
     found = {"flights": Value(row["flights"])}
     for column in row.keys() - {*axes, "flights"}:
-        unit = next((UNITS[part] for part in column.split("_") if part in UNITS), None)
         if column == "modes":
             found[column] = Value(" ".join(f"`{name}`" for name, bit in rust.MODES.items() if (row[column] or 0) & bit))
+        elif column in ERRORS:
+            _, unit, factor = ERRORS[column]
+            unknown = UNKNOWN if column.endswith(OF_ALL) else None
+            found[column] = Value(unknown if row[column] is None else factor * row[column], unit)
+        elif column in TIMES:
+            found[column] = Value(row[column], "s")
         else:
-            found[column] = Value(f"{row[column]} of {row['flights']}") if unit is None else Value(row[column], unit)
+            found[column] = Value(f"{row[column]} of {row['flights']}")
     for name in names:
         counts = name.removeprefix("share ").split(" + ")
         if name not in found and all(isinstance(row.get(count), int) for count in counts):

@@ -36,8 +36,6 @@ class SweepResult:
     """Its folder; `None` if it is kept without its flights."""
     of: tuple[str, ...] = ("max_rotation_error_deg", "max_com_error")
     """Figures of merit that a figure shows, by their columns."""
-    spread: str = "median, 10 to 90 % of all flights"
-    """What `median`, `p10` and `p90` of an error are."""
 
     @cached_property
     def flights(self) -> pd.DataFrame:

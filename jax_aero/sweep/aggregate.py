@@ -9,7 +9,7 @@ import numpy as np
 
 from jax_aero.base.result import LOST, UPRIGHT
 from jax_aero.rust import MODES
-from jax_aero.sweep import columns
+from jax_aero.sweep import columns, intervals
 from jax_aero.sweep.intervals import wilson
 
 ON_COURSE_ROTATION = 15.0
@@ -19,15 +19,18 @@ ON_COURSE_COM = 0.25
 A flight that ends within its start-up has no position error and does not count.
 """
 
-UPRIGHT_ERRORS = {"rotation_deg": ("max_rotation_error_deg", 1.0), "com_cm": ("max_com_error", 100.0)}
-"""Errors of the flights that complete or land: column of the table of flights, and factor."""
-
-UPRIGHT_ENDS = {"median": 0.5, "high": 0.9, "worst": 1.0}
+KEPT_ERRORS = ("max_rotation_error_deg", "max_com_error")
+"""Errors, by columns of the table of flights, that are kept in the documentation."""
 
 KEPT: tuple[str, ...] = (
     *("flights", "completed", "landed", "landing", "on_course", "off_course"),
     *("lost", "crashed", "unwarned", "degraded"),
-    *(f"{name}_{end}" for name in UPRIGHT_ERRORS for end in UPRIGHT_ENDS),
+    *(
+        columns.quantile(column, end, population)
+        for column in KEPT_ERRORS
+        for population in columns.populations(column)
+        for end in columns.QUANTILES
+    ),
     *("found_s", "announced_s", "lost_s", "modes"),
 )
 """Figures that are kept in the documentation."""
@@ -40,7 +43,8 @@ def figures(flights: Mapping[str, Any]) -> dict[str, Any]:
     """Return the figures of flights, by the columns of the tables of cells (`columns.CELLS`) and of `KEPT`.
 
     `flights` are columns of the table of flights, and `onset`, when the first failure begins [s], if it is known. Of
-    the warnings, quantiles are those of flights that a loss ends.
+    the warnings, quantiles are those of flights that a loss ends. An error of a lost flight is infinite among those of
+    all flights.
     """
     flown = np.asarray(flights["outcome"]) != "error"
     flights = {name: np.asarray(values)[flown] for name, values in flights.items()}
@@ -50,13 +54,18 @@ def figures(flights: Mapping[str, Any]) -> dict[str, Any]:
         found[f"{name}_low"], found[f"{name}_high"] = wilson(found[name], found["flights"])
     if found["flights"] and np.isnan(flights["degraded_time"]).all():
         found |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
-    for name, column in columns.QUANTITIES.items():
-        ends = quantiles(flights[column], columns.QUANTILES.values())
-        found |= {f"{name}_{end}": value for end, value in zip(columns.QUANTILES, ends, strict=True)}
     upright, lost = (np.isin(flights["outcome"], ends) for ends in (UPRIGHT, LOST))
-    for name, (column, factor) in UPRIGHT_ERRORS.items():
-        ends = quantiles(factor * flights[column][upright], UPRIGHT_ENDS.values())
-        found |= {f"{name}_{end}": value for end, value in zip(UPRIGHT_ENDS, ends, strict=True)}
+    for column in columns.QUANTITIES:
+        values = flights[column].astype(float)
+        of = {
+            columns.OF_ALL: np.where(lost, np.inf, values),
+            columns.OF_UPRIGHT: values[upright],
+            columns.OF_LOST: values[lost],
+        }
+        for population in columns.populations(column):
+            ends = quantiles(of[population], columns.QUANTILES.values())
+            names = [columns.quantile(column, end, population) for end in columns.QUANTILES]
+            found |= dict(zip(names, ends, strict=True))
     if "onset" in flights:
         degraded = flights["degraded_time"] > 0.0
         (found["found_s"],) = quantiles((flights["nominal_until"] - flights["onset"])[degraded], [0.5])
@@ -86,33 +95,30 @@ def counts(flights: Mapping[str, Any]) -> dict[str, int]:
 
 
 def quantiles(values: Any, shares: Iterable[float]) -> list[float | None]:
-    """Return quantiles of the values that are finite; `None` without any."""
+    """Return quantiles of the values that are numbers, of which some may be infinite; `None` without any."""
     values, shares = values.astype(float), list(shares)
-    known = values[np.isfinite(values)]
-    return np.quantile(known, shares).tolist() if len(known) else [None] * len(shares)
+    known = values[~np.isnan(values)]
+    found: list[float | None] = intervals.quantiles(known, shares).tolist() if len(known) else [None] * len(shares)
+    return found
+
+
+def with_intervals(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the columns of the table of cells that follow from the counts of a row."""
+    cell: dict[str, Any] = {"upright": row["completed"] + row["landed"]}
+    for share, count in (("completed", row["completed"]), ("upright", cell["upright"])):
+        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(count, row["flights"])
+    return cell
 
 
 def pool(rows: Iterable[Mapping[str, Any]], times: int = 1) -> dict[str, Any]:
     """Return the kept figures of all flights of some rows, each of which is in so many of these.
 
-    Numbers of flights add up, and the greatest error is that of a row; quantiles of several rows are unknown.
+    Numbers of flights add up, and the greatest error is that of a row; other quantiles of several rows are unknown.
     """
     rows = list(rows)
     if len(rows) == 1:
         return {name: rows[0][name] for name in KEPT}
     found: dict[str, Any] = dict.fromkeys(KEPT) | {name: sum(row[name] for row in rows) // times for name in COUNTS}
-    for name in (f"{name}_worst" for name in UPRIGHT_ERRORS):
+    for name in (name for name in KEPT if "_worst_" in name):
         found[name] = max((row[name] for row in rows if row[name] is not None), default=None)
     return found
-
-
-def as_cell(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the further columns of the table of cells: errors are those of flights that complete or land."""
-    cell: dict[str, Any] = {"upright": row["completed"] + row["landed"]}
-    for share, count in (("completed", row["completed"]), ("upright", cell["upright"])):
-        cell[f"{share}_low"], cell[f"{share}_high"] = wilson(count, row["flights"])
-    for name, (column, factor) in UPRIGHT_ERRORS.items():
-        for quantile, end in (("p10", "median"), ("median", "median"), ("p90", "high"), ("worst", "worst")):
-            value = row[f"{name}_{end}"]
-            cell[f"{column.removeprefix('max_')}_{quantile}"] = None if value is None else value / factor
-    return cell

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import typing
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple, TypeAlias
@@ -15,13 +16,39 @@ PAGE = "reference/columns.md"
 
 OUTCOMES: tuple[str, ...] = typing.get_args(Outcome)
 
-QUANTITIES = {
-    name.removeprefix("max_"): name
-    for name in ("lost_time", *(column for column, figure in quantities.COLUMNS.items() if not figure.codes))
-}
-"""Columns of the table of flights whose quantiles that of cells has, by their names there."""
+QUANTITIES = ("lost_time", *(column for column, figure in quantities.COLUMNS.items() if not figure.codes))
+"""Columns of the table of flights whose quantiles that of cells has."""
 
 QUANTILES = {"p10": 0.1, "median": 0.5, "p90": 0.9, "worst": 1.0}
+
+OF_ALL, OF_UPRIGHT, OF_LOST = "of_all", "of_upright", "of_lost"
+POPULATIONS = {
+    OF_ALL: "all flights, of which lost ones have the greatest, infinity",
+    OF_UPRIGHT: "the flights that completed or landed",
+    OF_LOST: "the flights that were lost",
+}
+"""The flights that a quantile is of: the end of its column's name."""
+
+
+def populations(column: str) -> tuple[str, ...]:
+    """Return of which flights the quantiles of a column of the table of flights are.
+
+    Those of an error are of all flights, so that a loss cannot make it smaller, and of those that are upright. Other
+    figures of a lost flight are of a shorter one, and are compared with none.
+    """
+    if column in ("lost_time", "warning_time"):
+        return (OF_LOST,)
+    return (OF_ALL, OF_UPRIGHT) if quantities.COLUMNS[column].is_error else (OF_UPRIGHT,)
+
+
+def quantile(column: str, end: str, population: str) -> str:
+    """Return the name of a quantile of a column of the table of flights.
+
+    >>> quantile("max_rotation_error_deg", "p90", OF_ALL)
+    'rotation_error_deg_p90_of_all'
+    """
+    return f"{column.removeprefix('max_')}_{end}_{population}"
+
 
 LEAST_WARNING = 0.3
 """Time before the loss from which on a flight has to be degraded, so that it is not lost unwarned [s]."""
@@ -79,11 +106,12 @@ def _of_cells() -> Iterator[tuple[str, Column]]:
     yield "lost", Column(COUNT, "1", "flights that neither completed nor landed")
     unwarned = f"lost flights that were degraded for less than {LEAST_WARNING:g} s before, or never if flown to the end"
     yield "unwarned", Column(COUNT, "1", unwarned)
-    for name, column in QUANTITIES.items():
+    for column in QUANTITIES:
         _, unit, meaning = FLIGHTS[column]
-        for end, share in QUANTILES.items():
+        for population, (end, share) in itertools.product(populations(column), QUANTILES.items()):
             text = {"median": "median", "worst": "greatest"}.get(end, f"{100.0 * share:g} % quantile")
-            yield f"{name}_{end}", Column(NUMBER, unit, f"{text} over all flights that have it of: {meaning}")
+            said = f"{text}, over {POPULATIONS[population]}, of: {meaning}"
+            yield quantile(column, end, population), Column(NUMBER, unit, said)
 
 
 CELLS: Columns = dict(_of_cells())

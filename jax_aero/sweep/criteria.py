@@ -36,7 +36,7 @@ class Criterion(tables.Table, frozen=True):
     cells: dict[str, Any] = msgspec.field(default_factory=dict)
     """Levels by axis, one or a list; in a text `*` stands for any characters. All levels of the other axes."""
     at_most: dict[str, float] = msgspec.field(default_factory=dict)
-    """Greatest values of columns of the table of cells, such as `rotation_error_deg_worst`."""
+    """Greatest values of columns of the table of cells, such as `rotation_error_deg_p90_of_all`."""
     success: Literal["completed", "upright"] = "completed"
     """The flights that succeed."""
     share: tuple[Share, ...] = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cache
 from typing import TypeAlias
 
@@ -60,10 +61,26 @@ def newcombe(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Interval:
     return p - q, p - q - reach(p - p_low, q_high - q), p - q + reach(p_high - p, q - q_low)
 
 
+BEYOND = 1e300
+"""What stands for infinity in a quantile: NumPy makes NaN between two infinities."""
+
+
+def quantiles(values: NDArray[np.float64], shares: Sequence[float], axis: int | None = None) -> NDArray[np.float64]:
+    """Return quantiles of values, some of which may be infinite; what is between one of them and a number is too.
+
+    >>> quantiles(np.array([1.0, 2.0, 3.0, np.inf]), [0.5, 0.9])
+    array([2.5, inf])
+    """
+    found = np.quantile(np.clip(values, -BEYOND, BEYOND), shares, axis=axis)
+    # A share of the way from a number to `BEYOND` is greater than any number of a flight.
+    return np.where(abs(found) > 1e-9 * BEYOND, np.copysign(np.inf, found), found)
+
+
 def bootstrap(values: NDArray[np.float64]) -> Interval:
-    """Return the median of values, and the percentile interval of its bootstrap."""
+    """Return the median of values, and the percentile interval of its bootstrap; values may be infinite."""
     if len(values) == 0:
         return UNKNOWN
     chosen = np.random.default_rng(0).integers(len(values), size=(RESAMPLES, len(values)))
-    low, high = np.quantile(np.median(values[chosen], axis=1), [0.025, 0.975])
-    return float(np.median(values)), float(low), float(high)
+    (median,) = quantiles(values, [0.5])
+    low, high = quantiles(quantiles(values[chosen], [0.5], axis=1)[0], [0.025, 0.975])
+    return float(median), float(low), float(high)

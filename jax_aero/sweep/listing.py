@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import pandas as pd
 
 from jax_aero.results.table import Rows
-from jax_aero.sweep.columns import OUTCOMES
+from jax_aero.sweep.columns import OF_ALL, OUTCOMES, quantile
 from jax_aero.sweep.intervals import SHARE, share
-from jax_aero.sweep.paired import COLUMNS
+from jax_aero.sweep.paired import COLUMNS, COUNTS, OF_UPRIGHT
 
 ERRORS = {
-    "max rotation error [deg], median of all, 10 to 90 %": ("rotation_error_deg", 1.0),
-    "max CoM error [cm], median of all, 10 to 90 %": ("com_error", 100.0),
+    "max rotation error [deg], median of all, 10 to 90 %": ("max_rotation_error_deg", 1.0),
+    "max CoM error [cm], median of all, 10 to 90 %": ("max_com_error", 100.0),
 }
-"""Quantities of the table of cells, and factors, by heading."""
+"""Errors, and factors, by heading; those of lost flights are the greatest, `lost`."""
 
 Labels = Mapping[str, str]
 """Headings of the axes, by name."""
@@ -28,18 +29,21 @@ def of_cells(cells: pd.DataFrame, labels: Labels) -> Rows:
     columns += [("flights", _levels(cells["flights"]))]
     columns += [(name.replace("_", " "), _levels(cells[name])) for name in OUTCOMES if cells[name].any()]
     columns += [(SHARE, _intervals(shares, ".0f"))]
-    for heading, (quantity, factor) in ERRORS.items():
-        found = factor * cells[[f"{quantity}_{end}" for end in ("median", "p10", "p90")]].astype(float)
+    for heading, (error, factor) in ERRORS.items():
+        names = [quantile(error, end, OF_ALL) for end in ("median", "p10", "p90")]
+        found = factor * cells[names].astype(float)
         columns += [(heading, _intervals(found.to_numpy(), ".2f"))]
     return _rows(columns)
 
 
 def of_pairs(found: pd.DataFrame, labels: Labels) -> Rows:
-    """Return the differences of `paired.differences`."""
-    heads = [name for name in found if name in labels or name == "pairs"]
-    columns = [(labels.get(name, name), _levels(found[name])) for name in heads]
+    """Return the differences of `paired.differences`, each column of them after the number of pairs that it is of."""
+    columns = [(labels[name], _levels(found[name])) for name in found if name in labels]
+    columns += [(heading, _levels(found[name])) for name, heading in COUNTS.items()]
     for name, heading in COLUMNS.items():
         values = found[[name, f"{name}_low", f"{name}_high"]].to_numpy()
+        if name in OF_UPRIGHT:
+            columns += [("of pairs", _levels(found[f"{name}_pairs"]))]
         columns += [(heading, _intervals(values, "+.1f" if name == "share" else "+.2f"))]
     return _rows(columns)
 
@@ -54,5 +58,12 @@ def _levels(values: Iterable[object]) -> list[str]:
 
 
 def _intervals(values: Iterable[Sequence[float]], form: str) -> list[str]:
-    shown = ([format(end, form) for end in value] for value in values)
+    shown = ([_number(end, form) for end in value] for value in values)
     return ["" if middle in ("nan", "+nan") else f"{middle} ({low} to {high})" for middle, low, high in shown]
+
+
+def _number(value: float, form: str) -> str:
+    """Return a number; infinite are an error that is lost, and a difference by which a loss comes or goes."""
+    if abs(value) == math.inf:
+        return f"{'' if '+' not in form else '+' if value > 0.0 else '−'}lost"
+    return format(value, form)

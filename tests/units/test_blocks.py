@@ -31,11 +31,11 @@ def page(monkeypatch, tmp_path):
 SWEEP, STUDY = 'kept = "made_up"\n', 'kept = "study"\n'
 TABLES = [
     (
-        SWEEP + 'rows = { speed = "10 m/s" }\ncolumns = ["completed + landed", "rotation_deg_worst"]',
+        SWEEP + 'rows = { speed = "10 m/s" }\ncolumns = ["completed + landed", "rotation_error_deg_worst_of_all"]',
         [
-            "| controller | completed + landed | rotation error, greatest [°] |",
+            "| controller | completed + landed | rotation error, greatest of all [°] |",
             "| a | 2 of 2 | 4.0 |",
-            "| b | 0 of 2 | |",
+            "| b | 0 of 2 | lost |",
         ],
     ),
     (
@@ -43,8 +43,8 @@ TABLES = [
         ["| controller | 0 m/s | 10 m/s |", "| ours | 0 of 2 | 2 of 2 |", "| theirs | 0 of 2 | 0 of 2 |"],
     ),
     (
-        SWEEP + 'rows = { controller = "all" }\ncolumns = { "off [mm]" = "com_cm_median" }',
-        ["| wind speed | off [mm] |", "| 0 m/s | |", "| 10 m/s | |"],
+        SWEEP + 'rows = { controller = "all" }\ncolumns = { "off [mm]" = "com_error_median_of_all" }',
+        ["| wind speed | off [mm] |", "| 0 m/s | ? |", "| 10 m/s | ? |"],
     ),
     (
         STUDY + 'columns = { drag = "drag [m2]", "error [%]" = "error" }',
@@ -78,7 +78,7 @@ def test_a_table_has_what_its_source_holds(page, asks, rows):
         ('kept = "made_up"\nrows = { wind = "a" }', "there is no axis `wind`; there are speed, controller"),
         ('kept = "made_up"\nrows = { speed = "11 m/s" }', "there is no level of speed `11 m/s`; did you mean 10 m/s"),
         ('kept = "made_up"\ncolumns = ["complete"]', "there is no column `complete`; did you mean completed"),
-        ('kept = "made_up"\ncolumns = { "off [s]" = "com_cm_worst" }', "cm is no s"),
+        ('kept = "made_up"\ncolumns = { "off [s]" = "com_error_worst_of_upright" }', "cm is no s"),
         ('kept = "made_up"\nflights = ["test2"]', "a table shows kept and flights; expected one of"),
         ('kept = "study"\nrow = 3', "unknown field `row`"),
         ('flights = ["test22"]', "there is no experiment `test22`; did you mean"),

@@ -60,7 +60,11 @@ def test_flights_are_pooled_over_any_axis_when_they_are_read():
     assert [row["flights"] for row in counted] == [4, 4, 8]
     expected = {"completed": 2, "lost": 2, "unwarned": 1, "degraded": 2, "on_course": 1, "speed": "all"}
     assert of_controller["b",] | expected == of_controller["b",]
-    assert (whole[()]["rotation_deg_worst"], whole[()]["rotation_deg_median"]) == (pytest.approx(20.0), None)
+    assert (whole[()]["rotation_error_deg_worst_of_upright"], whole[()]["rotation_error_deg_median_of_upright"]) == (
+        pytest.approx(20.0),
+        None,
+    )
+    assert whole[()]["rotation_error_deg_worst_of_all"] == np.inf
 
 
 def test_the_high_error_is_that_of_nine_tenths():
@@ -68,17 +72,19 @@ def test_the_high_error_is_that_of_nine_tenths():
     ramp = np.arange(11.0)
     flights = pd.concat([flown().iloc[:1]] * 11).assign(max_rotation_error_deg=ramp, max_com_error=0.01 * ramp)
     found = keep.figures(flights)
-    ends = {"median": 5.0, "high": 9.0, "worst": 10.0}
-    expected = {f"{name}_{end}": value for name in ("rotation_deg", "com_cm") for end, value in ends.items()}
+    ends = {"median": 5.0, "p90": 9.0, "worst": 10.0}
+    factors = {"rotation_error_deg": 1.0, "com_error": 0.01}
+    expected = {f"{name}_{end}_of_all": f * value for name, f in factors.items() for end, value in ends.items()}
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
-def test_errors_are_those_of_flights_that_complete():
+def test_errors_of_upright_flights_are_beside_those_of_all():
     found = rows(flown())
-    assert found["b", 0.0]["rotation_deg_worst"] == pytest.approx(20.0)
-    assert found["a", 10.0]["rotation_deg_median"] == pytest.approx(3.5)
-    assert found["b", 10.0]["rotation_deg_median"] is None
-    assert found["a", 0.0]["com_cm_worst"] == pytest.approx(2.0)
+    assert found["b", 0.0]["rotation_error_deg_worst_of_upright"] == pytest.approx(20.0)
+    assert found["a", 10.0]["rotation_error_deg_median_of_upright"] == pytest.approx(3.5)
+    assert found["b", 10.0]["rotation_error_deg_median_of_upright"] is None
+    assert found["b", 10.0]["rotation_error_deg_median_of_all"] == np.inf
+    assert found["a", 0.0]["com_error_worst_of_upright"] == pytest.approx(0.02)
 
 
 def test_a_failure_is_found_after_its_onset_and_a_loss_announced_before_it():
@@ -127,15 +133,16 @@ def made_up(**more):
 def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
     text = kept_pages.page(made_up())
     rotation, position = (
-        f"{name} error, median [{unit}] | {name} error, greatest [{unit}]"
+        f"{name} error, median of all [{unit}] | {name} error, median of upright [{unit}] | "
+        f"{name} error, greatest of upright [{unit}]"
         for name, unit in (("rotation", "°"), ("position", "cm"))
     )
     assert f"| wind speed | controller | completed | fell | {rotation} | {position} |" in text
     rows = [
-        "| 0 m/s | a | 2 of 2 | 0 of 2 | 1.50 | 2.00 | 2.00 | 2.00 |",
-        "| 0 m/s | b | 2 of 2 | 0 of 2 | 12.5 | 20.0 | 2.00 | 2.00 |",
-        "| 10 m/s | a | 2 of 2 | 0 of 2 | 3.50 | 4.00 | 2.00 | 2.00 |",
-        "| 10 m/s | b | 0 of 2 | 2 of 2 | | | | |",
+        "| 0 m/s | a | 2 of 2 | 0 of 2 | 1.50 | 1.50 | 2.00 | 2.00 | 2.00 | 2.00 |",
+        "| 0 m/s | b | 2 of 2 | 0 of 2 | 12.5 | 12.5 | 20.0 | 2.00 | 2.00 | 2.00 |",
+        "| 10 m/s | a | 2 of 2 | 0 of 2 | 3.50 | 3.50 | 4.00 | 2.00 | 2.00 | 2.00 |",
+        "| 10 m/s | b | 0 of 2 | 2 of 2 | lost | | | lost | | |",
     ]
     assert "\n".join(rows) in text
     assert "8 flights (2 in each cell, perturbed): 6 completed, 2 fell." in text
@@ -145,7 +152,7 @@ def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
 def test_a_row_counts_every_outcome():
     ends = ["completed", "landed", "landing", "off_course", "crashed", "crashed", "fell", "diverged"]
     row = dict(zip(aggregate.KEPT, keep.figures(flown(outcome=ends)).values(), strict=True))
-    assert (row["lost"], row["rotation_deg_worst"]) == (6, pytest.approx(2.0))
+    assert (row["lost"], row["rotation_error_deg_worst_of_upright"]) == (6, pytest.approx(2.0))
     document = made_up(axes=[], columns=list(row), rows=[list(row.values())], shows=[])
     (shown,) = kept_tables.of_page(document)[1]
     assert shown == [f"{count} of 8" for count in (1, 1, 1, 1, 2, 2)]
@@ -261,6 +268,6 @@ def test_a_kept_sweep_of_other_cells_is_not_flown_again():
 def test_a_picture_has_the_figures_of_the_table():
     sweep = made_up(drawing="curve").sweep
     cell = sweep.cells.set_index(["controller", "speed"]).loc["a", 10.0]
-    assert cell["rotation_error_deg_median"] == pytest.approx(3.5)
-    assert cell["com_error_worst"] == pytest.approx(0.02)
+    assert cell["rotation_error_deg_median_of_all"] == pytest.approx(3.5)
+    assert cell["com_error_worst_of_upright"] == pytest.approx(0.02)
     assert (cell["flights"], cell["completed"], len(sweep.cells)) == (2, 2, 4)

@@ -52,8 +52,8 @@ def cell(index, flights, completed, on_course, rotation=5.0, **labels):
         "on_course": on_course,
         "on_course_low": wilson(on_course, flights)[0],
         "on_course_high": wilson(on_course, flights)[1],
-        "rotation_error_deg_median": rotation,
-        "com_error_median": 0.1,
+        "rotation_error_deg_median_of_all": rotation,
+        "com_error_median_of_all": 0.1,
     }
 
 

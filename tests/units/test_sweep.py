@@ -231,8 +231,8 @@ def test_axes_may_set_parts_of_one_table_and_lists_of_tables():
         ({"name": "../up"}, '`name` is "../up"; expected a text'),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 1, "high": 2}]}, r"`axis\[0\]` is \"x\"; expected values"),
         (
-            {"axis": [{"name": "thrust_max_p10", "key": "wind.speed", "values": [1]}]},
-            "axis `thrust_max_p10` has the name",
+            {"axis": [{"name": "thrust_max_p10_of_upright", "key": "wind.speed", "values": [1]}]},
+            "axis `thrust_max_p10_of_upright` has the name",
         ),
         ({"panels": "world"}, '`panels` is "world"; expected the name of an axis'),
     ],
@@ -596,15 +596,15 @@ def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
         (0.1 * ramp[:9] <= aggregate.ON_COURSE_COM) & (10.0 * ramp[:9] <= aggregate.ON_COURSE_ROTATION)
     )
     agree("interval", (found["completed_low"], found["completed_high"]), wilson(9, 11), 1e-15)
-    shares = {"p10": 1.0, "median": 5.0, "p90": 9.0, "worst": 10.0}
-    for name in ("thrust_max", "thrust_min", "time_above_45_deg"):
-        assert {end: found[f"{name}_{end}"] for end in shares} == pytest.approx(shares)
+    of_nine = {"p10": 0.8, "median": 4.0, "p90": 7.2, "worst": 8.0}
+    for name in ("thrust_max", "thrust_min", "time_above_45_deg", "joint_error_sum_deg"):
+        assert {end: found[f"{name}_{end}_of_upright"] for end in of_nine} == pytest.approx(of_nine)
     assert found["unwarned"] == 1
-    agree("warning", found["warning_time_median"], 0.295, 1e-12)
-    agree("rotation", [found[f"rotation_error_deg_{end}"] for end in shares], 10.0 * np.array([1, 5, 9, 10]), 1e-12)
-    agree("joints", found["joint_error_sum_deg_median"], 5.0, 1e-12)
-    agree("position", [found[f"com_error_{end}"] for end in ("median", "worst")], [0.45, 1.0], 1e-12)
-    agree("end", [found[f"lost_time_{end}"] for end in ("median", "worst")], [5.45, 8.0], 1e-12)
+    agree("warning", found["warning_time_median_of_lost"], 0.295, 1e-12)
+    agree("rotation", [found[f"rotation_error_deg_{end}_of_all"] for end in ("p10", "median")], [10.0, 50.0], 1e-12)
+    assert found["rotation_error_deg_p90_of_all"] == found["com_error_worst_of_all"] == np.inf
+    agree("position", [found[f"com_error_{end}_of_upright"] for end in ("median", "worst")], [0.4, 0.8], 1e-12)
+    agree("end", [found[f"lost_time_{end}_of_lost"] for end in ("median", "worst")], [5.45, 8.0], 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -626,7 +626,8 @@ def test_a_flight_counts_by_how_it_ends(outcome, com_error, counted):
     found = aggregate.figures(flights | ended | {"outcome": np.array([outcome])})
     counts = (*columns.OUTCOMES, *columns.SHARES, "lost", "unwarned")
     assert {name for name in counts if found[name]} - {"degraded"} == counted
-    assert found["com_error_worst"] == (None if np.isnan(com_error) else com_error)
+    expected = np.inf if "lost" in counted else None if np.isnan(com_error) else com_error
+    assert found["com_error_worst_of_all"] == expected
 
 
 def test_what_the_guard_finds_is_unknown_of_jax():
@@ -714,7 +715,7 @@ def test_the_cells_of_a_sweep_are_printed_unless_they_are_many(flown, monkeypatc
     cells = pq.read_table(flown / "cells.parquet").to_pylist()
     assert len(rows) == len(cells) == 4
     for row, cell in zip(rows, cells, strict=True):
-        assert f"{cell['rotation_error_deg_median']:.2f}" in row.split()
+        assert f"{cell['rotation_error_deg_median_of_all']:.2f}" in row.split()
     monkeypatch.setattr(command, "MOST_CELLS", 3)
     assert main(words) == 0
     assert capsys.readouterr().out.splitlines()[1:] == [said]

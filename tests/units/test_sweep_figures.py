@@ -41,8 +41,10 @@ def write(folder, name, drawing, axes, panels="world"):
         record |= {"landed": index % 4, "off_course": index % 2, "fell": index % 3, "lost": index % 3}
         record |= dict.fromkeys(("landing", "crashed", "diverged", "unwarned"), 0)
         for quantity in ("rotation_error_deg", "com_error"):
-            record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("p10", "median", "p90"))}
-            record[f"{quantity}_worst"] = None if index == 1 else 3.0 * index
+            record |= {
+                f"{quantity}_{end}_of_upright": float(index + step) for step, end in enumerate(("p10", "median", "p90"))
+            }
+            record[f"{quantity}_worst_of_upright"] = None if index == 1 else 3.0 * index
         cells.append(record)
     rng = np.random.default_rng(1)
     flights = {axis: rng.uniform(0, 1, 40) for axis in axes}
@@ -169,7 +171,9 @@ def test_a_sweep_that_a_figure_hides_is_named(tmp_path, capsys):
 def test_a_map_keeps_the_row_of_a_level_without_any_number(tmp_path):
     write(tmp_path, "made_up", "map", ["world", "scale", "speed"])
     cells = pd.read_parquet(tmp_path / "made_up/cells.parquet")
-    cells.loc[(cells["world"] == "ahead") & (cells["scale"] == 0.0), "com_error_worst"] = np.nan  # lost at once
+    cells.loc[(cells["world"] == "ahead") & (cells["scale"] == 0.0), "com_error_worst_of_upright"] = (
+        np.nan
+    )  # lost at once
     cells.to_parquet(tmp_path / "made_up/cells.parquet")
     figure = maps.draw(load(tmp_path, "made_up"))
     panels = [axes for axes in figure.axes if axes.get_images()]

@@ -16,7 +16,7 @@ from jax_aero.base import flights
 from jax_aero.data.battery import PAPER_FUEL
 from jax_aero.results.flight import PAPER_RUNS
 from jax_aero.rust import SETTLING_TIME
-from jax_aero.sweep.columns import SHARES
+from jax_aero.sweep.columns import OF_UPRIGHT, SHARES, quantile
 from jax_aero.sweep.criteria import Criterion, Share
 from jax_aero.sweep.intervals import wilson
 
@@ -89,11 +89,17 @@ def _lost(known: list[dict[str, Any]]) -> str:
 
 
 def joint_errors(results: Results) -> Measured:
-    """Measure the sums of joint errors of flights that succeed in the paper, and of those that fail until they do."""
-    found = {}
-    for name, kind in {**dict.fromkeys(SUCCESSFUL, "rest"), **dict.fromkeys(FAILED, "rest_fallen")}.items():
-        most, end = results.flight(name).joint_errors
-        found[name] = {"most": most, "end": end, kind: end / most}
+    """Measure the sums of joint errors in each part of the body, as the paper draws them.
+
+    Of flights that succeed in the paper, the greatest share of a sum that is left at the end; of those that fail, the
+    least one.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for name in (*SUCCESSFUL, *FAILED):
+        errors = results.flight(name).joint_errors
+        text = ", ".join(f"{part} {most:.0f}° ({end:.0f}°)" for part, (most, end) in errors.items())
+        left = [end / most for most, end in errors.values()]
+        found[name] = {"parts": text} | ({"rest": max(left)} if name in SUCCESSFUL else {"rest_fallen": min(left)})
     return Measured(found)
 
 
@@ -202,7 +208,7 @@ def lambda_term(results: Results) -> Measured:
     cells, found = results.sweep("ablation_terms"), {}
     for world in (RIGHT, HEAD, PUBLISHED):
         whole, without = (
-            cells.cell(world=world, feedback=level)["rotation_error_deg_median"]
+            cells.cell(world=world, feedback=level)["rotation_error_deg_median_of_all"]
             for level in ("everything", "without Λ_a")
         )
         found[world] = {"whole": whole, "without": without, "change": abs(whole - without)}
@@ -228,7 +234,8 @@ def minimum(results: Results) -> Measured:
         return good
 
     def tabulate(level: str, quantity: str, form: str) -> str:
-        return ", ".join(format(cells.cell(world=w, feedback=level)[f"{quantity}_median"], form) for w in worlds)
+        medians = (cells.cell(world=w, feedback=level)[f"{quantity}_median_of_all"] for w in worlds)
+        return ", ".join("lost" if median == math.inf else format(median, form) for median in medians)
 
     completes, stays = equal_feedbacks("completed"), equal_feedbacks("on_course")
     only = {name: f"total {name} only" for name in ("moment", "force")}
@@ -348,13 +355,13 @@ def boundary(results: Results) -> Measured:
 
 
 def wake_meshes(results: Results) -> Measured:
-    """Measure the change of the wake between the meshes."""
+    """Measure how far the wakes on the coarsest and on the finest mesh are apart [%]."""
     meshes = [results.study("cfd_flow", name) for name in ("flight30_coarse", "flight30", "flight30_fine")]
     areas = [mesh["wake in the plane, slower than half the wind [m2]"] for mesh in meshes]
     return one(
         cells=", ".join(f"{1e-3 * mesh['cells']:.0f}" for mesh in meshes),
         areas=", ".join(f"{area:.2f}" for area in areas),
-        change=100.0 * (areas[1] / areas[2] - 1.0),
+        apart=100.0 * abs(areas[0] / areas[-1] - 1.0),
     )
 
 
@@ -427,12 +434,14 @@ def _interval(part: int, whole: int) -> str:
 def _ranges(cells: Sequence[Cell], columns: Iterable[str]) -> Iterator[str]:
     """Yield the medians of the greatest rotation errors, the greatest, and the ranges of other columns."""
     medians, worst = (
-        [cell[f"rotation_error_deg_{end}"] for cell in cells if cell[f"rotation_error_deg_{end}"] is not None]
-        for end in ("median", "worst")
+        [cell[name] for cell in cells if cell[name] is not None]
+        for name in (quantile("max_rotation_error_deg", end, OF_UPRIGHT) for end in ("median", "worst"))
     )
     if worst:
         ends = dict.fromkeys(f"{end:.1f}" for end in (min(medians), max(medians)))
-        yield f"rotation error in the median {' to '.join(ends)}°, at most {max(worst):.1f}°"
+        lost = sum(int(cell["lost"]) for cell in cells)
+        of = f", of those that are not lost, {lost} are" if lost else ""
+        yield f"rotation error in the median {' to '.join(ends)}°, at most {max(worst):.1f}°{of}"
     for column in columns:
         values = [cell[column] for cell in cells if cell[column] is not None]
         if values and not column.startswith("rotation_error_deg"):
@@ -440,5 +449,7 @@ def _ranges(cells: Sequence[Cell], columns: Iterable[str]) -> Iterator[str]:
 
 
 def _value(column: str, value: float) -> str:
+    if value == math.inf:
+        return "lost"
     unit = next((unit for name, unit in UNITS.items() if column.startswith(name)), "")
     return f"{value:.{1 if unit == '°' else 3}f}{unit}" if unit else f"{value:g}"
