@@ -14,7 +14,7 @@ from experiments.report import judge, stored
 from experiments.report.judge import Finding, Kind, Verdict, whole
 from experiments.report.measures import files
 from experiments.report.page import literal, markdown, to_html
-from experiments.report.paper import Item, all_claims, all_items, sections
+from experiments.report.paper import OURS, Item, all_claims, all_items, sections
 from experiments.report.results import Results
 from jax_aero.base import places
 from jax_aero.base.arguments import Parser
@@ -140,10 +140,15 @@ def _origin(results: Results, key: str) -> str:
 
 def count_verdicts(found: Collection[Finding]) -> str:
     """Return the number of claims with each kind of verdict."""
-    counts = Counter(finding.verdict.kind for finding in found)
+    return say_counts(Counter(finding.verdict.kind for finding in found))
+
+
+def say_counts(counts: Counter[Kind], what: str = "claims") -> str:
+    """Return the number of claims, and of those with each kind of verdict."""
     words = {Kind.AGREES: "agree", Kind.IN_PART: "agree in part", Kind.DIFFERS: "differ"}
+    words |= {kind: f"are {kind.value}" for kind in (Kind.OUT_OF_REACH, Kind.NOT_COMPARED)}
     said = ", ".join(f"**{counts[kind]}** {words.get(kind, kind.value)}" for kind in Kind if counts[kind])
-    return f"Of {len(found)} claims {said}." if found else "No claim was judged."
+    return f"Of {counts.total()} {what} {said}." if counts else "No claim was judged."
 
 
 def _outdated(differs: str) -> str:
@@ -198,8 +203,33 @@ def documented() -> dict[str, Finding]:
         else:
             old = known[key]
             is_todays = old.identity == claim.identity
+            if is_todays:
+                _check(key, old)
             found[key] = old if is_todays else replace(old, verdict=Verdict.of(Kind.OUTDATED, old.verdict.text))
     return found
+
+
+def _check(key: str, finding: Finding) -> None:
+    """Refuse a stored finding that contradicts itself; seal it as one may."""
+    try:
+        all_claims()[key].check(finding)
+    except (LookupError, Refused) as reason:
+        raise Refused(f"{CLAIMS}: `{key}`: {reason}") from None
+
+
+def verdicts(known: Mapping[str, Finding]) -> dict[str, Counter[Kind]]:
+    """Return how many statements of the paper and how many of ours have which verdict.
+
+    One that stands in several rows of the page is one.
+    """
+    counts: dict[str, Counter[Kind]] = {"statements of the paper": Counter(), "statements of ours": Counter()}
+    of_paper, of_ours = counts.values()
+    for title, items in sections().items():
+        of_items = of_ours if title == OURS else of_paper
+        of_items.update(Kind.of(item.verdict) for item in items if item.verdict)
+    for key in dict.fromkeys(key for item in all_items() for key in item.claims):
+        (of_ours if all_claims()[key].where == "ours" else of_paper).update([known[key].verdict.kind])
+    return counts
 
 
 def index() -> str:
@@ -207,7 +237,8 @@ def index() -> str:
     known = documented()
     rows = {title: [row for item in items for row in _rows(item, known)] for title, items in sections().items()}
     tables = {one.__name__: one() for one in (files.links, files.engines, files.coefficients, files.meshes)}
-    return markdown("paper.md", sections=rows, **tables)
+    counted = " ".join(say_counts(counts, what) for what, counts in verdicts(known).items())
+    return markdown("paper.md", counted=counted, sections=rows, **tables)
 
 
 def _rows(item: Item, known: Mapping[str, Finding]) -> Iterator[tuple[str, ...]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import Enum
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from experiments.report.measures import Cases, Measured, files, one, results
 from experiments.report.results import NotFlownError, Results, StaleError
@@ -49,6 +51,11 @@ class Kind(Enum):
     NOT_FLOWN = "not flown here"
     OUTDATED = "outdated"
     ERROR = "error"
+
+    @classmethod
+    def of(cls, verdict: str) -> Kind:
+        """Return the kind of a verdict's text: "agrees in part", or the word with which it begins."""
+        return max((kind for kind in cls if verdict.startswith(kind.value)), key=lambda kind: len(kind.value))
 
 
 class Verdict(msgspec.Struct, frozen=True):
@@ -167,19 +174,25 @@ class Claim(tables.Table, frozen=True):
         """Return whether it stands in the file of a sweep, with which its finding is kept."""
         return self.measure == OF_SWEEP
 
+    def measured(self, known: Results) -> Measured:
+        """Return what is measured in results."""
+        module, _, name = self.measure.partition(".")
+        if not name:
+            return one()
+        found: Measured = getattr(MEASURES[module], name)(*([known] if module == "results" else []), **self.arguments)
+        return found
+
     def decide(self, known: Results) -> tuple[str, Verdict]:
         """Return measurement and verdict from results."""
-        module, _, name = self.measure.partition(".")
-        found = one()
-        if name:
-            found = getattr(MEASURES[module], name)(*([known] if module == "results" else []), **self.arguments)
+        found = self.measured(known)
         return self.text(found), self.judge(found.cases)
 
     def find(self, known: Results) -> Finding:
         """Return measurement and verdict from the results that exist."""
         known.made.clear()
         try:
-            measured, verdict = self.decide(known)
+            found = self.measured(known)
+            measured, verdict = self.text(found), self.judge(found.cases)
         except NotFlownError as reason:
             verdict = OUTDATED if isinstance(reason, StaleError) else NOT_FLOWN
             return Finding("; ".join(known.failures(each(self.commands))) or str(reason), verdict)
@@ -191,7 +204,17 @@ class Claim(tables.Table, frozen=True):
             measured = f"{measured}; {ANOTHER}: {', '.join(changed)}"
             verdict = Verdict.of(Kind.OUTDATED, verdict.text)
         commits = {made.created: made.commit for made in known.made.values() if made.created and made.commit}
-        return Finding(measured, verdict, commits[max(commits)] if commits else None, self.identity)
+        commit = commits[max(commits)] if commits else None
+        return Finding(measured, verdict, commit, self.identity, found.cases if self.commands else {})
+
+    def check(self, finding: Finding) -> None:
+        """Refuse a finding whose text or verdict does not follow from its numbers."""
+        found = Measured(finding.cases)
+        if (said := (self.text(found), self.judge(found.cases))) != (finding.measured, finding.verdict):
+            raise Refused(
+                f'"{finding.measured}", "{finding.verdict}" contradict the numbers beside them, from which follow '
+                f'"{said[0]}", "{said[1]}"'
+            )
 
     def text(self, found: Measured) -> str:
         """Return what was measured."""
@@ -295,17 +318,62 @@ class Finding(msgspec.Struct, frozen=True):
     """Commit at which the latest of the results used was made; `None` if only files are used."""
     identity: str = ""
     """That of its claim and of its results (`Claim.identity`)."""
+    cases: Cases = {}
+    """The numbers from which text and verdict follow; none of files or of the rows of a sweep, which have them."""
 
 
 class Record(msgspec.Struct):
     """`claims.json` of a report: findings by the claims' keys."""
 
     claims: dict[str, Finding]
+    seal: str = ""
+    """Digest of them, by which an edited file is recognised."""
 
 
 def read(path: Path) -> dict[str, Finding]:
-    """Return the findings of a file; none if there is no such file."""
-    return msgspec.convert(read_json(path, Record), Record).claims if os.path.lexists(path) else {}
+    """Return the findings of a file; none if there is no such file.
+
+    Raises
+    ------
+    Refused
+        If they are not what was written there.
+    """
+    if not os.path.lexists(path):
+        return {}
+    record = msgspec.convert(read_json(path, Record), Record)
+    if record.seal != seal_of(record.claims):
+        raise Refused(f"{path} is not what was written there: jax-aero report --claims writes it")
+    return {
+        key: msgspec.structs.replace(finding, cases=_with_nan(finding.cases)) for key, finding in record.claims.items()
+    }
+
+
+def seal_of(claims: Mapping[str, Finding]) -> str:
+    """Return the digest of findings."""
+    return hashlib.sha256(json.dumps(_plain(claims), sort_keys=True).encode()).hexdigest()
+
+
+def _plain(claims: Mapping[str, Finding]) -> Any:
+    """Return findings as JSON has them, in which `None` is no number."""
+    numbers = {
+        key: {case: {name: _json(value) for name, value in values.items()} for case, values in finding.cases.items()}
+        for key, finding in claims.items()
+    }
+    found = {key: msgspec.structs.replace(finding, cases=numbers[key]) for key, finding in claims.items()}
+    return msgspec.to_builtins(found)
+
+
+def _json(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _with_nan(cases: Cases) -> Cases:
+    return {
+        case: {name: math.nan if value is None else value for name, value in values.items()}
+        for case, values in cases.items()
+    }
 
 
 def to_json(found: Mapping[str, Finding], kept: Path) -> str:
@@ -324,5 +392,5 @@ def to_json(found: Mapping[str, Finding], kept: Path) -> str:
         commit = old.commit if old and is_kept else finding.commit or here
         is_judged = finding.verdict.kind not in (Kind.NOT_FLOWN, Kind.OUTDATED)
         claims[key] = old if old and not is_judged else msgspec.structs.replace(finding, commit=commit)
-    document = {"command": "jax-aero report --claims docs/claims.json", "claims": msgspec.to_builtins(claims)}
-    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+    document = {"command": "jax-aero report --claims docs/claims.json", "claims": _plain(claims)}
+    return json.dumps(document | {"seal": seal_of(claims)}, indent=1, ensure_ascii=False) + "\n"

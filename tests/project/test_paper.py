@@ -1,8 +1,11 @@
 """The page of the paper: every figure has an item, what an item names exists, and figures are those of the files."""
 
+import json
 import re
+import string
 from pathlib import Path
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 
@@ -12,6 +15,7 @@ from experiments.report.command import CLAIMS as KEPT_CLAIMS
 from experiments.report.command import documented, index
 from experiments.report.judge import Kind
 from experiments.report.results import Results
+from jax_aero.base.terminal import Refused
 from jax_aero.cli import COMMANDS, main
 from jax_aero.commands import study as studies
 from jax_aero.commands.fly import main as fly
@@ -68,6 +72,78 @@ def test_a_stored_verdict_is_of_its_claim_and_of_its_results(monkeypatch):
     judge._today.cache_clear()
     assert documented()["aligned"].verdict.kind is Kind.OUTDATED
     judge._today.cache_clear()
+
+
+def claims_file(tmp_path, change, *, sealed):
+    """A file of claims as it is kept, with this change of its claims, and a seal of it all if it is `sealed`."""
+    document = json.loads(KEPT_CLAIMS.read_text(encoding="utf-8"))
+    change(document["claims"])
+    if sealed:
+        document["seal"] = judge.seal_of(msgspec.convert(document, judge.Record).claims)
+    path = tmp_path / "claims.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    return path
+
+
+def test_an_edited_file_of_claims_is_refused(tmp_path):
+    """Three verdicts that are set to "agrees", and a count."""
+
+    def set_verdicts(claims):
+        for key in ("fuel_flown", "oscillations", "signs"):
+            claims[key]["verdict"] = {"kind": "agrees", "text": "agrees"}
+
+    def set_count(claims):
+        claims["test1"]["measured"] = claims["test1"]["measured"].replace("242 of 250", "249 of 250")
+
+    assert judge.read(claims_file(tmp_path, lambda _: None, sealed=False)) == judge.read(KEPT_CLAIMS)
+    for change in (set_verdicts, set_count):
+        with pytest.raises(Refused, match="is not what was written there"):
+            judge.read(claims_file(tmp_path, change, sealed=False))
+
+
+SEALED = judge.read(KEPT_CLAIMS)
+
+
+def printed(claim):
+    """The numbers and words by case that the text of a claim has."""
+    return {name for text in (claim.says, claim.before) for _, name, *_ in string.Formatter().parse(text) if name}
+
+
+@pytest.mark.parametrize("key", SEALED)
+def test_a_sealed_claim_that_contradicts_itself_is_refused(key, monkeypatch):
+    """Another verdict, another text, or any one number or word that is in the text, whether or not it decides."""
+    claim, finding = CLAIMS[key], SEALED[key]
+    claim.check(finding)
+    kind = Kind.DIFFERS if finding.verdict.kind is Kind.AGREES else Kind.AGREES
+    wrong = [replace(finding, verdict=judge.Verdict.of(kind)), replace(finding, measured=f"{finding.measured}.")]
+    for case, values in finding.cases.items():
+        for name in printed(claim) & values.keys():
+            other = "another" if isinstance(values[name], str) else 3.0 * values[name] + 1000.0
+            is_said = name in claim.says or case == next(iter(finding.cases))
+            if is_said:
+                wrong.append(replace(finding, cases={**finding.cases, case: {**values, name: other}}))
+    assert len(wrong) > 2
+    for one in wrong:
+        with pytest.raises(Refused, match="contradict the numbers beside them"):
+            claim.check(one)
+    monkeypatch.setattr(report.judge, "read", lambda _: SEALED | {key: wrong[0]})
+    with pytest.raises(Refused, match=f"`{key}`"):
+        documented()
+
+
+def test_the_page_begins_with_the_sum_of_its_verdicts():
+    """Each statement once, however many rows it is in; those of the paper and ours apart."""
+    known = documented()
+    of_paper, of_ours = report.verdicts(known).values()
+    stated = {key for key, claim in CLAIMS.items() if claim.where != "ours"}
+    whole = [item for title, items in paper.sections().items() if title != paper.OURS for item in items]
+    assert of_paper.total() == len(stated) + sum(bool(item.verdict) for item in whole)
+    assert of_ours.total() == len(CLAIMS) - len(stated)
+    assert of_paper[Kind.DIFFERS] == sum(known[key].verdict.kind is Kind.DIFFERS for key in stated) + sum(
+        item.verdict.startswith("differs") for item in whole
+    )
+    _, _, line, *_ = index().splitlines()
+    assert line.startswith(f"Of {of_paper.total()} statements of the paper **{of_paper[Kind.AGREES]}** agree, ")
 
 
 def test_a_finding_is_kept_once():
