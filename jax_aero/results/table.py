@@ -78,7 +78,7 @@ def _pad(cell: str, widths: Iterable[int], space: str) -> str:
     return NUMBER.sub(lambda found: found[0].rjust(next(left), space), cell)
 
 
-NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?")
+NUMBER = re.compile(r"[-+−]?(?:\d+(?:\.\d+)?|lost)")
 INTERVAL = re.compile(rf"{NUMBER.pattern}(?: \({NUMBER.pattern} to {NUMBER.pattern}\))?")
 
 
