@@ -35,7 +35,7 @@ COMMANDS = {
     "verify": "compare the Rust crate with JAX",
     "robot": "make a robot of a URDF, or a mission of waypoints, to fly",
     "data": "read logs of a turbine, CFD tables and wind-tunnel files, fit coefficients",
-    "train": "train an aerodynamic network, several of them, or search for its settings",
+    "train": "train an aerodynamic network of CFD or of flights, several of them, or search for its settings",
     "rename": "write the new names of keys, values and outcomes into files",
     "cfd": "compute forces of the air with OpenFOAM, verify and compare them",
 }
@@ -67,6 +67,7 @@ NEEDS = {
     "train": "train",
     "train ensemble": "train",
     "train search": "train",
+    "train flights": "train,logs",
     "cfd": "twin,sweeps",
     "cfd verify": "twin,sweeps",
     "cfd flow": "flow",
@@ -124,6 +125,8 @@ def function_of(command: str) -> Callable[[Sequence[str]], int | None]:
             from jax_aero.train import ensemble as module
         case "train search":
             from jax_aero.train import search as module
+        case "train flights":
+            from jax_aero.train import from_flights as module
         case "cfd":
             from jax_aero.commands import cfd as module
         case "cfd verify":

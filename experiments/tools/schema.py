@@ -24,6 +24,7 @@ from jax_aero.robot import waypoints
 from jax_aero.sweep.perturbation import Perturbation
 from jax_aero.sweep.spec import Axis, Spec
 from jax_aero.train.config import Training
+from jax_aero.train.from_flights import FlightTraining
 from jax_aero.train.search import SearchConfig
 
 Node = dict[str, Any]
@@ -35,6 +36,7 @@ TYPES: dict[str, Any] = {
     "sweep_axes": Axis,
     "sweeps": Spec,
     "training": Training,
+    "training_flights": FlightTraining,
     "training_search": SearchConfig,
     "waypoints": waypoints.Waypoints,
 }

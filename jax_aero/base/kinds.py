@@ -40,6 +40,7 @@ KINDS = {
         Kind("flight", "fly"),
         Kind("sweeps", "sweep", files=("table.parquet", "cells.parquet"), manifest=places.SWEEP_FILE),
         Kind("training", "train", "--dataset FILE"),
+        Kind("training_flights", "train flights --base", "LOG ..."),
         Kind("training_search", "train search", "--dataset FILE", files=("trials.csv",)),
         Kind("fit_aero", "data fit-aero"),
         Kind("cfd", "cfd", files=("dataset.nc", "cases.json")),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,9 @@ JUMPS = {"raw_base_position": 0.05, "raw_base_velocity": 0.5, "raw_base_rotation
 """Least change of a sensor that is a jump [m, m/s, rad]."""
 
 
-def read(path: Path, mapping: Path | None, config: rust.Config, robot_file: str) -> dict[str, Array]:
+def read(
+    path: Path, mapping: Path | None, config: rust.Config, robot_file: str, needed: Sequence[str] = MEASURED
+) -> dict[str, Array]:
     """Return the signals of a log at the ticks of its controller.
 
     Raises
@@ -58,14 +60,16 @@ def read(path: Path, mapping: Path | None, config: rust.Config, robot_file: str)
     """
     config = {**config, "robot": robot_file}
     found = measured.of_controller(logs.read(path, config, mapping, robot_file), config, path)
-    return check(found.signals, str(path), rust.Robot(robot_file))
+    return check(found.signals, str(path), rust.Robot(robot_file), needed)
 
 
-def check(signals: Mapping[str, Array], log: str, robot: rust.Robot) -> dict[str, Array]:
+def check(
+    signals: Mapping[str, Array], log: str, robot: rust.Robot, needed: Sequence[str] = MEASURED
+) -> dict[str, Array]:
     """Return the signals of a log with all that samples need, or refuse it."""
     if not robot.joint_names:
         signals = {**signals, "joint_torque": np.zeros((signals["time"].size, 0))}
-    for name in MEASURED:
+    for name in needed:
         if name not in signals or not np.isfinite(signals[name]).all(axis=tuple(range(1, signals[name].ndim))).any():
             raise Refused(f"`{log}` has no `{name}`; expected measurements and commands")
     least = 2.0 * SETTLING + 10.0 * PERIOD
@@ -80,9 +84,9 @@ def left_out(signals: Mapping[str, Array], robot: rust.Robot) -> dict[str, NDArr
     flat = {name: rows.reshape(time.size, int(np.prod(rows.shape[1:]))) for name, rows in signals.items()}
     thrust, most = flat["raw_thrust"], np.array(robot.thrust_max)
     idle = np.maximum(np.array(robot.thrust_min), IDLE * most)
-    torque = np.abs(flat["joint_torque"])
+    torque = np.abs(flat.get("joint_torque", np.zeros((time.size, len(robot.joint_names)))))
     found = {
-        "rows lost": ~np.all([np.isfinite(flat[name]).all(axis=1) for name in MEASURED], axis=0),
+        "rows lost": ~np.all([np.isfinite(flat[name]).all(axis=1) for name in MEASURED if name in flat], axis=0),
         "feet loaded": np.zeros(time.size, dtype=np.bool_),
         "engines idle": np.any(thrust < idle, axis=1) & (np.max(thrust, axis=1, initial=0.0) > 0.0),
         "commands saturated": np.any(torque > 0.999 * robot.arrays()["joint_torque_max"], axis=1),

@@ -85,8 +85,6 @@ class FitResult(NamedTuple):
     """Number of completed epochs."""
     seconds_per_epoch: float
     """Seconds per epoch of this call, without the first epoch, which compiles, if there are more."""
-    others: Any = ()
-    """What was trained beside the network, `Objective.others`."""
 
 
 class Objective(Protocol):
@@ -95,19 +93,16 @@ class Objective(Protocol):
     def scaled(self, network: Network, training: Any) -> Network:
         """Return the network with the scale and offset of its outputs, where the settings want them."""
 
-    def others(self, training: Any) -> Any:
-        """Return the initial values of what is trained beside the layers, a pytree."""
-
     def given(self, network: Network, training: Any) -> tuple[Any, Any]:
         """Return what outputs are compared with, by row, and what is the same for all rows; pytrees of arrays."""
 
-    def loss(self, output: Float[Array, "m B *copies y"], rows: Any, common: Any, others: Any) -> Array:
+    def loss(self, output: Float[Array, "m B *copies y"], rows: Any, common: Any) -> Array:
         """Return the loss of a batch from outputs before scaling, as by `batch_output`."""
 
     def unit(self, network: Network) -> float:
         """Return the unit of `loss` in that of curves."""
 
-    def error(self, network: Network, others: Any, validation: Any) -> float:
+    def error(self, network: Network, validation: Any) -> float:
         """Return the validation loss of a network as it flies."""
 
 
@@ -121,27 +116,21 @@ class ForceAreas:
         scale = np.full_like(offset, training.y.std())
         return replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
 
-    def others(self, training: Samples) -> tuple[()]:
-        """Train the layers alone."""
-        del training
-        return ()
-
     def given(self, network: Network, training: Samples) -> tuple[Any, Any]:
         """Return the targets before scaling."""
         return jnp.asarray((training.y - network.offset) / network.scale), ()
 
-    def loss(self, output: Float[Array, "m B y"], rows: Float[Array, "B y"], common: Any, others: Any) -> Array:
+    def loss(self, output: Float[Array, "m B y"], rows: Float[Array, "B y"], common: Any) -> Array:
         """Return the mean squared error."""
-        del common, others
+        del common
         return mean_squared_error(output, rows)
 
     def unit(self, network: Network) -> float:
         """Return the square of the scale [m⁴]."""
         return float(network.scale[0]) ** 2
 
-    def error(self, network: Network, others: Any, validation: Samples) -> float:
+    def error(self, network: Network, validation: Samples) -> float:
         """Return the mean squared error [m⁴]."""
-        del others
         return validation_error(network, validation)
 
 
@@ -155,7 +144,6 @@ class Interrupted(KeyboardInterrupt):
 @pytree
 class _State:
     layers: tuple[Layer, ...]
-    others: Any
     adam: AdamState
 
 
@@ -208,8 +196,7 @@ def fit(
     if settings.scale_output:
         network = objective.scaled(network, training)
     digest = _digest(network, training, validation, settings, seed, objective)
-    others = objective.others(training)
-    now = _Now(_State(network.layers, others, adam_start((network.layers, others))), 0, ())
+    now = _Now(_State(network.layers, adam_start(network.layers)), 0, ())
     if checkpoint is not None and (found := load_checkpoint(checkpoint, digest, now.state)):
         curves = tuple((row[0], row[1], row[2]) for row in found.facts["curves"])
         now = _Now(found.state, found.facts["epoch"], curves)
@@ -229,7 +216,7 @@ def fit(
                     raise FloatingPointError(f"training loss is {train_error} in epoch {now.epoch + 1}: rate too large")
                 is_due = (now.epoch + 1) % settings.validate_every == 0 or now.epoch + 1 == settings.epochs
                 if validation is not None and is_due:
-                    error = objective.error(replace(network, layers=state.layers), state.others, validation)
+                    error = objective.error(replace(network, layers=state.layers), validation)
                 # One assignment, so that an interruption leaves the last complete epoch.
                 seen = ((now.epoch + 1, train_error, error),) if is_due else ()
                 now = _Now(state, now.epoch + 1, (*now.curves, *seen))
@@ -246,7 +233,7 @@ def fit(
     if checkpoint is not None:
         _keep(checkpoint, digest, now)
     trained, steady = replace(network, layers=now.state.layers), times[1:] or times or [0.0]
-    return FitResult(trained, now.curves[-1][2], now.curves, now.epoch, float(np.mean(steady)), now.state.others)
+    return FitResult(trained, now.curves[-1][2], now.curves, now.epoch, float(np.mean(steady)))
 
 
 def _keep(path: Path, digest: str, now: _Now) -> None:
@@ -291,8 +278,7 @@ def _epoch(
     order_key, noise_key = jax.random.split(key)
     order = jax.random.permutation(order_key, x.shape[0]) if batch < x.shape[0] else jnp.arange(x.shape[0])
 
-    def loss(trained: Any, rows: Array, key: Array) -> Array:
-        layers, others = trained
+    def loss(layers: tuple[Layer, ...], rows: Array, key: Array) -> Array:
         for_noise, for_dropout = jax.random.split(key)
         seen = x[rows]
         if settings.noise:
@@ -300,16 +286,15 @@ def _epoch(
         flat = seen.reshape(-1, seen.shape[-1])
         output = batch_output(layers, activation, flat, for_dropout, settings.dropout)
         output = output.reshape(output.shape[0], *seen.shape[:-1], output.shape[-1])
-        return objective.loss(output, jax.tree.map(lambda leaf: leaf[rows], given), common, others)
+        return objective.loss(output, jax.tree.map(lambda leaf: leaf[rows], given), common)
 
     def step(state: _State, entry: Any) -> tuple[_State, Array]:
         index, rows = entry
-        trained = (state.layers, state.others)
-        value, gradient = jax.value_and_grad(loss)(trained, rows, jax.random.fold_in(noise_key, index))
+        value, gradient = jax.value_and_grad(loss)(state.layers, rows, jax.random.fold_in(noise_key, index))
         rate = _rate(settings, state.adam.count, steps)
         options = {"beta2": settings.beta2, "weight_decay": settings.weight_decay}
-        adam, (layers, others) = adam_step(state.adam, trained, gradient, rate, **options)
-        return _State(layers, others, adam), value
+        adam, layers = adam_step(state.adam, state.layers, gradient, rate, **options)
+        return _State(layers, adam), value
 
     rows = order[: steps * batch].reshape(steps, batch)
     state, losses = jax.lax.scan(step, state, (jnp.arange(steps), rows))

@@ -388,7 +388,7 @@ def reading(kind: str) -> Action:
     return read
 
 
-for of_python in ("cfd", "cfd_flow", "perturbation", "training", "training_search"):
+for of_python in ("cfd", "cfd_flow", "perturbation", "training", "training_flights", "training_search"):
     action(of_python)(reading(of_python))
 
 

@@ -83,6 +83,7 @@ def test_work_of_another_identity_does_not_count_and_is_left_until_there_is_a_re
         ("jax-aero data fit-aero open", "fit_aero", ["open"]),
         ("jax-aero train open --dataset x.nc", "training", ["open", "--dataset", "x.nc"]),
         ("jax-aero train search compact", "training_search", ["compact"]),
+        ("jax-aero train flights --base hover a.nc", "training_flights", ["hover", "a.nc"]),
     ],
 )
 def test_a_command_makes_results_of_one_kind(line, kind, names):
