@@ -1,0 +1,87 @@
+"""The study of airs that are learnt: its worlds and its figure of merit."""
+
+import numpy as np
+import pytest
+
+from experiments.studies.learnt_air import study, worlds
+from jax_aero import rust
+from jax_aero.body.robot import load_robot
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_robot(rust.load_config("test2")["robot"])
+
+
+def test_merit_is_the_share_of_the_way_from_the_nominal_to_the_true_air():
+    """A flight that is lost is the worst: with most lost, no median is finite and there is no merit."""
+    errors = {
+        "nominal": np.full(9, 10.0),
+        "learnt": np.full(9, 4.0),
+        "refit": np.array([np.inf] * 4 + [2.0] * 5),
+        "true": np.full(9, 2.0),
+    }
+    found = study.merit(errors, np.random.default_rng(0))
+    assert found["learnt, merit"] == found["learnt, merit from"] == found["learnt, merit to"] == 0.75
+    assert found["refit, merit"] == 1.0
+    assert found["refit, lost"] == 4
+    lost = study.merit(errors | {"learnt": np.array([np.inf] * 5 + [2.0] * 4)}, np.random.default_rng(0))
+    assert lost["learnt, merit"] == -np.inf
+
+
+def test_an_anemometer_errs_as_it_is_said(robot):
+    """Noise, a bias of one length, late by five ticks; 0.8 of it where the air comes from behind."""
+    forward, count = np.asarray(robot.forward_axis), 4000
+    time = 0.01 * np.arange(count)
+    wind = np.zeros((count, 3))
+    wind[:, :2] = -8.0 * forward[:2]  # from ahead
+    wind[2000:, :2] *= -1.0
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    read = worlds.misread({"time": time, "raw_wind": wind, "base_quaternion": upright}, 3, 1, forward)["raw_wind"]
+    bias = np.asarray(worlds.errors_of(3, 1)["bias"])
+    assert np.linalg.norm(bias) == pytest.approx(1.0)
+    np.testing.assert_allclose(read[:2000].mean(axis=0), wind[0] + bias, atol=0.05)
+    np.testing.assert_allclose(read[2005:].mean(axis=0), 0.8 * (wind[-1] + bias), atol=0.05)
+    assert read[:2000].std(axis=0) == pytest.approx(0.5, rel=0.1)
+    assert np.linalg.norm(read[2003] - 0.8 * (wind[0] + bias)) < 3.0, "the wind of five ticks ago, in the wake of now"
+    assert not np.array_equal(worlds.errors_of(3, 2)["bias"], bias)
+
+
+def test_flights_that_judge_are_the_same_for_all_models(robot):
+    one, other = (
+        worlds.judging("test2", "turbulence", 5, 3, rust.load_config("test2")["simulator"]["aero"], model)
+        for model in ({"model": "off"}, rust.load_config("test2")["controller"]["aero"])
+    )
+    assert one["wind"] == other["wind"]
+    assert one["simulator"] == other["simulator"]
+    assert (
+        worlds.judging("test2", "gust", 5, 3, one["simulator"]["aero"], {"model": "off"})["wind"]["profile"] == "gust"
+    )
+    assert one["controller"]["aero"] != other["controller"]["aero"]
+
+
+def test_flights_to_learn_from_have_no_model_and_come_from_all_sides(tmp_path, robot):
+    air = rust.load_config("test2")["simulator"]["aero"]
+    flights = [worlds.learning(1, number, 4, air, "mixed", tmp_path) for number in range(4)]
+    assert all(flight["controller"]["aero"] == {"model": "off"} for flight in flights)
+    angles = [np.arctan2(*flight["wind"]["velocity"][1::-1]) % (2.0 * np.pi) for flight in flights]
+    assert np.floor(np.array(angles) / (0.5 * np.pi)).tolist() == [0, 1, 2, 3]
+    assert flights[0]["mission"] != flights[1]["mission"]
+    excited = worlds.learning(1, 0, 4, air, "excited", tmp_path)
+    assert np.genfromtxt(excited["mission"]["file"], delimiter=",", names=True)["yaw"].std() > 0.02
+    assert flights[0]["disturbances"]["model_error"] != flights[1]["disturbances"]["model_error"]
+
+
+def test_an_air_of_another_family_is_another_network(tmp_path, robot, monkeypatch):
+    from msgspec import structs
+
+    monkeypatch.setattr(worlds, "OTHER", structs.replace(worlds.OTHER, epochs=2, validate_every=2))
+    table = worlds.air_of("other", robot, tmp_path)
+    card = rust.read_network(table["card"], robot.joint_names, robot.aero_links.names)
+    assert (card["blocks"], card["frame"], card["activation"], card["mirror"]) == (
+        ("wind", "joints"),
+        "base",
+        "tanh",
+        False,
+    )
+    assert worlds.air_of("spheres", robot, tmp_path)["model"] == "sphere_cylinder"
