@@ -25,7 +25,20 @@ from numpy.typing import NDArray
 
 from jax_aero import rust
 from jax_aero.base.features import Aim
-from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer, task_of
+from jax_aero.env_task import (
+    FEATURES,
+    Observation,
+    Reward,
+    Task,
+    TaskState,
+    check_observation,
+    is_lost,
+    limit_action,
+    observe,
+    rewards,
+    steer,
+    task_of,
+)
 
 __all__ = ["HoverEnv", "HoverVectorEnv"]
 
@@ -48,6 +61,8 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     drawn
         Configurations of one robot of which every episode draws one, in place of the task's experiment: with other
         masses, latencies, sensors or faults, by hand or by the perturbations of a sweep.
+    observation, reward
+        As of `jax_aero.env.FlightEnv`, with `numpy` and leading axes of several robots.
     render_mode
         "rgb_array" for pictures by `render`, which need the extra `view`.
     """
@@ -62,8 +77,12 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         task: Task | str | None = None,
         drawn: Sequence[Mapping[str, Any]] = (),
         render_mode: Literal["rgb_array"] | None = None,
+        observation: Observation = FEATURES,
+        reward: Reward = rewards,
     ) -> None:
         self.task, self.render_mode = task_of(task), render_mode
+        self._observation, self._reward = observation, reward
+        check_observation(observation)
         configs = list(drawn) or [rust.load_config(self.task.experiment)]
         self._drawn = [self.task.episode(config) for config in configs]
         self._config = self._drawn[0]
@@ -73,10 +92,11 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         n, j = len(self._robot.joint_names), len(self._robot.jet_names)
         self._size = j + n
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self._size,), np.float32)
-        self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (21 + 2 * n + j,), np.float32)
         self.dt = float(self._config["controller"]["time_step"])
         self._last_tick = self.task.ticks(self.dt)
+        self._seed: int | None = None
         self._begin([0.0, 0.0, 0.0])
+        self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, _observe([self])[1].shape[1:], np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -89,6 +109,8 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         speed = self.np_random.uniform(self.task.wind_min, self.task.wind_max)
         angle = self.np_random.uniform(0.0, 2.0 * np.pi)
         drawn = [speed * np.cos(angle), speed * np.sin(angle), 0.0]
+        if self.task.profile == "turbulent":
+            self._seed = int(self.np_random.integers(2**31))
         if len(self._drawn) > 1:
             self._config = self._drawn[self.np_random.integers(len(self._drawn))]
         self._begin([float(part) for part in options.get("wind", drawn)])
@@ -130,11 +152,14 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def _begin(self, wind: list[float]) -> None:
         self._wind = wind
-        self._config = {**self._config, "wind": {**self._config["wind"], self.task.wind_key: wind}}
+        drawn = {key: np.asarray(value).tolist() for key, value in self.task.wind(np, wind).items()}
+        if self._seed is not None:
+            drawn["seed"] = self._seed
+        self._config = {**self._config, "wind": {**self._config["wind"], **drawn}}
         self._flight = rust.Flight(self._config, robot=self._robot)
         self._flown: list[NDArray[np.float64]] = []
-        seen, still = rust.observe_flights([self._flight]), np.zeros(3)
-        self._first = Aim(seen.com_position[0], seen.base_rotation[0], still, still)
+        seen = rust.observe_flights([self._flight])
+        self._first = self.task.aim(np, seen.com_position[0], seen.base_rotation[0])
         self._posture: NDArray[np.float64] = seen.joint_position[0]
 
 
@@ -151,16 +176,22 @@ class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.
     ----------
     num_envs
         Number of environments.
-    task, drawn
+    task, drawn, observation, reward
         As of `HoverEnv`.
     """
 
     metadata = {"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP}  # noqa: RUF012 - as Gymnasium declares it
 
     def __init__(
-        self, num_envs: int = 64, task: Task | str | None = None, drawn: Sequence[Mapping[str, Any]] = ()
+        self,
+        num_envs: int = 64,
+        task: Task | str | None = None,
+        drawn: Sequence[Mapping[str, Any]] = (),
+        observation: Observation = FEATURES,
+        reward: Reward = rewards,
     ) -> None:
-        self.num_envs, self.envs = num_envs, [HoverEnv(task, drawn) for _ in range(num_envs)]
+        self.num_envs = num_envs
+        self.envs = [HoverEnv(task, drawn, observation=observation, reward=reward) for _ in range(num_envs)]
         first = self.envs[0]
         self.single_action_space, self.single_observation_space = first.action_space, first.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -202,7 +233,7 @@ def _step(envs: Sequence[HoverEnv], actions: NDArray[np.float64]) -> tuple[Any, 
     state, obs = _observe(envs)
     lost = ~goes_on | is_lost(np, state, fall) | ~np.isfinite(actions).all(axis=-1)
     ended = np.array([len(env._flown) >= env._last_tick for env in envs])
-    return obs, lost, ended, rewards(np, state, actions)
+    return obs, lost, ended, dict(envs[0]._reward(np, state, actions))
 
 
 def _observe(envs: Sequence[HoverEnv]) -> tuple[TaskState, NDArray[np.float32]]:
@@ -218,8 +249,9 @@ def _observe(envs: Sequence[HoverEnv]) -> tuple[TaskState, NDArray[np.float32]]:
         aim=Aim(*seen[6:]) if follows else Aim(*map(np.array, zip(*(env._first for env in envs), strict=True))),
         posture=np.array([env._posture for env in envs]),
         wrench=seen.residual_wrench,
+        thrust_max=envs[0]._thrust_max,
     )
-    return state, observation(np, state, envs[0]._thrust_max).astype(np.float32)
+    return state, observe(np, envs[0]._observation, state).astype(np.float32)
 
 
 gymnasium.register(

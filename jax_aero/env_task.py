@@ -7,27 +7,33 @@ of one robot, or have leading axes of several.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jax_aero import rust
 from jax_aero.base.features import Aim, features
 
 Steering = Literal["residual", "rates"]
 """Meaning of an action: added to the controller's answer, or its replacement."""
 
-Profile = Literal["ramp", "gust"]
-"""Course of the wind: a rise to a constant wind, or one gust of the same rise, followed by still air."""
+Profile = Literal["ramp", "gust", "turbulent"]
+"""Course of the wind: a rise to a constant wind, one gust of the same rise followed by still air, or a rise to a wind
+with turbulence."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """The task to learn: to hover where the episode begins, or to fly the experiment's mission.
+    """The task to learn: to hover where the episode begins or near it, or to fly the experiment's mission.
 
-    The set-point of a hover is the centre of mass and the attitude of the simulated robot at the first tick. A
-    controller with an error in its model or its sensors holds a slightly different one; the difference is part of the
-    task. The set-point of a mission is the controller's. The posture is that of the first tick in both.
+    The set-point of a hover is the centre of mass and the attitude of the simulated robot at the first tick, unless
+    `attitude_deg` and `offset` put it elsewhere. A controller with an error in its model or its sensors holds a
+    slightly different one; the difference is part of the task. The set-point of a mission is the controller's. The
+    posture is that of the first tick in both.
     """
 
     experiment: str = "test1"
@@ -42,28 +48,64 @@ class Task:
     profile: Profile = "ramp"
     ramp: float = 1.0
     """Time in which the wind rises [s]; a gust takes twice as long."""
+    turbulence: float = 0.2
+    """Standard deviation of a turbulent wind's horizontal components over its speed; that of the vertical one is half
+    as large."""
+    time_scale: float = 2.0
+    """Of the turbulence [s]."""
     thrust_rate: float = 20.0
     """Thrust rate of an action of 1 [N/s]."""
     joint_velocity: float = 0.5
     """Joint velocity of an action of 1 [rad/s]."""
     tracking: bool = False
     """Whether to fly the mission of the experiment, from its beginning, instead of hovering."""
+    attitude_deg: tuple[float, float, float] | None = None
+    """Attitude to hover in, roll, pitch and yaw as of `simulator.initial.base_rpy_deg`; `None` for that of the first
+    tick. With a start that is tilted, the robot has to recover."""
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Set-point of the centre of mass from where it is at the first tick [m], inertial axes."""
 
     def __post_init__(self) -> None:
         if self.steering not in (known := get_args(Steering)):
             raise ValueError(f"`steering` is {self.steering!r}; expected one of {', '.join(known)}")
         if self.profile not in (known := get_args(Profile)):
             raise ValueError(f"`profile` is {self.profile!r}; expected one of {', '.join(known)}")
-        for name in ("wind_max", "wind_min", "ramp", "thrust_rate", "joint_velocity"):
+        for name in ("wind_max", "wind_min", "ramp", "turbulence", "time_scale", "thrust_rate", "joint_velocity"):
             _check(name, getattr(self, name), 0.0, "a number ≥ 0")
         if self.wind_min > self.wind_max:
             raise ValueError(f"`wind_min` is {self.wind_min}; expected at most `wind_max`, {self.wind_max}")
-        _check("duration", self.duration, math.ulp(0.0), "a number > 0")
+        for name in ("duration", "time_scale"):
+            _check(name, getattr(self, name), math.ulp(0.0), "a number > 0")
+        for name, numbers in (("attitude_deg", self.attitude_deg or (0.0,) * 3), ("offset", self.offset)):
+            if np.shape(numbers) != (3,) or not np.all(np.isfinite(numbers)):
+                raise ValueError(f"`{name}` is {numbers!r}; expected three finite numbers")
+        if self.has_own_setpoint and (self.tracking or self.steering == "residual"):
+            given = f"`attitude_deg` is {self.attitude_deg} and `offset` {self.offset}"
+            expected = "expected neither with `tracking` or a residual: the controller has a set-point of its own"
+            raise ValueError(f"{given}; {expected}")
 
     @property
-    def wind_key(self) -> str:
-        """Return the key of the wind that is drawn."""
-        return {"ramp": "velocity", "gust": "gust"}[self.profile]
+    def has_own_setpoint(self) -> bool:
+        """Return whether the set-point of a hover is apart from its start."""
+        return self.attitude_deg is not None or any(self.offset)
+
+    def wind(self, xp: Any, velocity: Any) -> dict[str, Any]:
+        """Return the wind [m/s] of an episode at its strongest, by the keys of its configuration."""
+        if self.profile == "gust":
+            return {"gust": velocity}
+        if self.profile == "ramp":
+            return {"velocity": velocity}
+        speed = xp.sqrt(xp.sum(xp.square(xp.asarray(velocity))))
+        return {"velocity": velocity, "std": self.turbulence * speed * xp.asarray([1.0, 1.0, 0.5])}
+
+    def aim(self, xp: Any, com: Any, rotation: Any) -> Aim:
+        """Return the set-point of a hover that begins with this centre of mass and attitude."""
+        if self.attitude_deg is not None:
+            # As `simulator.initial.base_rpy_deg`: about the fixed axes x, y, z.
+            wanted = Rotation.from_euler("xyz", self.attitude_deg, degrees=True).as_matrix()
+            rotation = xp.asarray(wanted, rotation.dtype)
+        still = xp.zeros_like(com)
+        return Aim(com + xp.asarray(self.offset, com.dtype), rotation, still, still)
 
     def ticks(self, time_step: float) -> int:
         """Return the length of an episode.
@@ -93,10 +135,12 @@ class Task:
             raise ValueError(f"`disturbances.wind_estimate.mean_only` of {self.experiment} is true; {expected}")
         still = [0.0, 0.0, 0.0]
         wind: dict[str, Any] = {"profile": self.profile, "velocity": still}
-        if self.profile == "ramp":
-            wind |= {"ramp_start": 0.0, "ramp_end": self.ramp}
-        else:
+        if self.profile == "gust":
             wind |= {"gust": still, "start": 0.0, "duration": 2.0 * self.ramp}
+        else:
+            wind |= {"ramp_start": 0.0, "ramp_end": self.ramp}
+        if self.profile == "turbulent":
+            wind |= {"std": still, "time_scale": self.time_scale, "seed": 0}
         simulator = {**config["simulator"], "duration": self.duration}
         mission = config["mission"] if self.tracking else {}
         return {**config, "mission": mission, "wind": wind, "simulator": simulator}
@@ -134,10 +178,27 @@ class TaskState(NamedTuple):
     """Joint positions of the first tick (n,) [rad]."""
     wrench: Any
     """Observed wrench about the centre of mass (6,) [N, N m]."""
+    thrust_max: Any
+    """Greatest thrusts (j,) [N]."""
 
 
-def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
-    """Return the observation of an agent (21 + 2 n + j,): all `features`, in their order."""
+FEATURES = (
+    *("gravity", "rotation", "position", "velocity", "angular_velocity"),
+    *("joint_position", "joint_velocity", "thrust", "force", "moment"),
+)
+"""Names of all `features`, in their order: (3,) each, but for joints (n,) and thrusts (j,)."""
+
+Observation: TypeAlias = Sequence[str] | Callable[[Any, TaskState], Any]
+"""What an agent observes: names of `features`, which a card in the crate can have too, or a function from `numpy` or
+`jax.numpy` and a state to an array."""
+Reward: TypeAlias = Callable[[Any, TaskState, Any], Mapping[str, Any]]
+"""Function from `numpy` or `jax.numpy`, a state and an action between −1 and 1 to the parts of a tick's reward."""
+
+
+def observe(xp: Any, chosen: Observation, state: TaskState) -> Any:
+    """Return the observation of an agent; that of all features has 21 + 2 n + j numbers."""
+    if callable(chosen):
+        return chosen(xp, state)
     seen = features(
         xp,
         state.rotation,
@@ -147,9 +208,21 @@ def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
         state.com,
         state.aim,
         state.wrench,
-        thrust_max,
+        state.thrust_max,
     )
-    return xp.concatenate(list(seen.values()), axis=-1)
+    return xp.concatenate([seen[name] for name in chosen], axis=-1)
+
+
+def check_observation(chosen: Observation) -> None:
+    """Refuse names that are those of no feature.
+
+    Raises
+    ------
+    ValueError
+        Naming them.
+    """
+    if not callable(chosen) and (not chosen or isinstance(chosen, str) or set(chosen) - set(FEATURES)):
+        raise ValueError(f"`observation` is {chosen!r}; expected a function, or names of {', '.join(FEATURES)}")
 
 
 def rewards(xp: Any, state: TaskState, action: Any) -> dict[str, Any]:
@@ -192,3 +265,55 @@ def limit_action(xp: Any, action: Any, expected: tuple[int, ...], dtype: Any) ->
 def steer(task: Task, action: Any, jets: int) -> tuple[Any, Any]:
     """Return the thrust rates [N/s] and joint velocities [rad/s] of an action between −1 and 1."""
     return task.thrust_rate * action[..., :jets], task.joint_velocity * action[..., jets:]
+
+
+def disturb(
+    config: Mapping[str, Any],
+    count: int,
+    seed: int,
+    *,
+    duration: float = 10.0,
+    push: float = 0.0,
+    kick: float = 0.0,
+    fade: float = 0.0,
+    body: str = "chest",
+) -> list[dict[str, Any]]:
+    """Return configurations with drawn disturbances, for `drawn` of both environments.
+
+    Parameters
+    ----------
+    config
+        Configuration of a flight.
+    count, seed
+        Number of configurations, and of what they are drawn from.
+    duration
+        Of an episode [s]; what happens begins in its middle three fifths.
+    push
+        Greatest force [N], horizontal, for 0.2 s.
+    kick
+        Greatest moment [N m], about any axis, for 0.25 s.
+    fade
+        Time constant [s] with which a drawn jet loses its thrust; 0 for none.
+    body
+        Body that is pushed and kicked.
+    """
+    rng, drawn, jets = np.random.default_rng(seed), list[dict[str, Any]](), rust.Robot(config["robot"]).jet_names
+    for _ in range(count):
+        times = duration * rng.uniform(0.2, 0.8, 3)
+        angle, axis = rng.uniform(0.0, 2.0 * np.pi), rng.normal(size=3)
+        force = push * rng.uniform() * np.array([np.cos(angle), np.sin(angle), 0.0])
+        moment = kick * rng.uniform() * axis / np.linalg.norm(axis)
+        jet = jets[rng.integers(len(jets))]
+        disturbances = dict(config.get("disturbances", {}))
+        own = [
+            {"body": body, "force": [*map(float, force)], "start": float(times[0]), "duration": 0.2},
+            {"body": body, "moment": [*map(float, moment)], "start": float(times[1]), "duration": 0.25},
+        ]
+        wanted = [entry for entry, size in zip(own, (push, kick), strict=True) if size > 0.0]
+        if wanted:
+            disturbances["pushes"] = [*disturbances.get("pushes", []), *wanted]
+        if fade > 0.0:
+            failure = {"jet": jet, "time": float(times[2]), "kind": "off", "decay": fade}
+            disturbances["jets"] = {**disturbances.get("jets", {}), "failure": failure}
+        drawn.append({**config, "disturbances": disturbances})
+    return drawn

@@ -17,10 +17,10 @@ from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control import Measurement
 from jax_aero.control.law.policy_card import load_policy, save_policy
 from jax_aero.env import FlightEnv
-from jax_aero.env_task import Task
+from jax_aero.env_task import FEATURES, Task
 from jax_aero.rust import MODES
 from jax_aero.sim import prepare, step
-from jax_aero.train.policy import act, init_network, residual_of
+from jax_aero.train.policy import init_network, perceptron, residual_of, warm_start
 from jax_aero.types import State
 
 CARD = Path(__file__).resolve().parents[2] / "configs/policies/hover.json"
@@ -81,11 +81,12 @@ def test_both_act_alike(replaces, x64, measured, robot, drawn):
 
 def test_a_policy_flies_in_the_crate_as_in_the_environment(x64, measured, robot, drawn):
     """In the environment it is a function of the observation, in crate and twin the law of the controller."""
-    trained, ticks = load_policy(drawn, robot), 40
-    env = FlightEnv(TASK)
+    env, ticks = FlightEnv(TASK), 40
+    network = perceptron(env, (5, 3))
+    trained = warm_start(load_policy(drawn, robot), network)
 
     def fly_on(state, _):
-        after = env.step(state, act(jnp, trained.policy, state.obs))
+        after = env.step(state, network.apply(trained, state.obs))
         return after, (state.data.flight.plant.robot.base_position, after.reward)
 
     _, (ours, earned) = jax.jit(lambda state: jax.lax.scan(fly_on, state, length=ticks))(env.start(jnp.array(WIND)))
@@ -103,6 +104,24 @@ def test_a_policy_flies_in_the_crate_as_in_the_environment(x64, measured, robot,
     measured("environment: reward", np.abs(earned - np.array(rewards_in_crate(config, TASK)[:ticks])).max(), 1e-9)
     measured("twin: base [m]", np.abs(twin["base_position"] - theirs["base_position"][:ticks]).max(), 1e-9)
     measured("twin: thrust rates [N/s]", np.abs(twin["thrust_rate"] - theirs["thrust_rate"][:ticks]).max(), 1e-5)
+
+
+def test_a_card_of_some_features_is_written_and_goes_on(x64, tmp_path, robot):
+    """In their order; a card of others, or of other widths, is refused by its key."""
+    names = ("thrust", "position", "gravity")
+    network = perceptron(FlightEnv(TASK, observation=names), (2,))
+    drawn = network.init(jax.random.key(0))
+    path = tmp_path / "own.json"
+    save_policy(path, residual_of(network.to_policy(drawn), TASK, 4, names), robot, description="Ours.", training={})
+    rust.load_config("test1", {"controller.policy": {"card": path}})
+    again = warm_start(load_policy(path, robot), network, names)
+    assert jax.tree.all(jax.tree.map(lambda a, b: np.allclose(a, b, atol=1e-6), again, drawn))
+    for of, given, match in ((network, FEATURES, "features"), (replace(network, hidden=(3,)), names, "hidden")):
+        with pytest.raises(ValueError, match=f"`[a-z.]*{match}` of the card is"):
+            warm_start(load_policy(path, robot), of, given)
+    for policy, seen in (({"gain": 1.0}, names), (drawn, lambda _, state: state.com)):
+        with pytest.raises(ValueError, match="what a card holds"):
+            residual_of(policy, TASK, 4, seen)
 
 
 def test_a_residual_that_is_no_number_is_named(x64, robot):

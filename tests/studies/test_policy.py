@@ -17,7 +17,7 @@ from jax_aero.base.terminal import ConfigError
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task
 from jax_aero.figures.catalogue import FIGURES
-from jax_aero.train.policy import Row, TrainingResult, fly_episodes, init_network
+from jax_aero.train.policy import Perceptron, Row, TrainingResult, fly_episodes, init_network
 from tests.train.test_policy import Spring
 
 FILE = """
@@ -34,6 +34,8 @@ gradients = { steps = 3, hidden = [2] }
 class Trainer:
     """In place of a training: three steps of half a minute, with a judgement at the second."""
 
+    steps = 3
+
     def train(self, seed, *, checkpoint, digest, on_step):
         del digest
         assert checkpoint.suffix == ".part"
@@ -46,9 +48,9 @@ class Trainer:
 
 def test_policies_are_judged_on_the_way_and_at_the_end(tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path / "results")
-    monkeypatch.setattr(policy, "FlightEnv", lambda task, drawn: (task, drawn))
-    monkeypatch.setattr(policy.PolicyConfig, "trainer", lambda *_: Trainer())
-    monkeypatch.setattr(policy, "judge_of", lambda _: lambda _, n: (np.linspace(0.9, 1.0, n), np.arange(n) > 0))
+    network = Perceptron(np.zeros(71, np.float32), np.ones(71, np.float32), (2,), 27)
+    monkeypatch.setattr(policy.PolicyConfig, "training", lambda *_: (Trainer(), network))
+    monkeypatch.setattr(policy, "judge_of", lambda *_: lambda _, n: (np.linspace(0.9, 1.0, n), np.arange(n) > 0))
     (tmp_path / "short.toml").write_text(FILE)
     document = policy.STUDY.run(str(tmp_path / "short.toml"))
     found = document["summary"]["seed 4"]
@@ -122,9 +124,25 @@ def learnt_of(deviations):
 def test_ppo_holds_a_mass_against_a_force(tmp_path):
     found = ppo.trainer(Spring(), SETTINGS).train(0, checkpoint=tmp_path / "c", digest="a")
     winds, numbers = jnp.array([[-0.9, 0.0, 0.0], [0.9, 0.0, 0.0]]), jnp.zeros(2, jnp.int32)
-    nothing = jax.tree.map(jnp.zeros_like, found.policy)
-    rewards, without = (fly_episodes(Spring(), one, winds, numbers)[0] for one in (found.policy, nothing))
+    nothing = jax.tree.map(jnp.zeros_like, found.parameters)
+    rewards, without = (
+        fly_episodes(Spring(), ppo.Normalised(), one, winds, numbers)[0] for one in (found.parameters, nothing)
+    )
     assert (rewards > without + 0.1).all()
+
+
+def test_observations_are_scaled_by_their_running_moments():
+    """Of two windows they are those of all their rows; what never changes stays limited."""
+    rng = np.random.default_rng(0)
+    first, second = rng.normal([1.0, -2.0], [3.0, 0.5], (40, 2)), rng.normal([0.0, 5.0], 1.0, (60, 2))
+    nothing = ppo.Moments(jnp.zeros(2), jnp.ones(2), jnp.zeros(()))
+    found = nothing.updated(jnp.asarray(first)).updated(jnp.asarray(second))
+    rows = np.concatenate([first, second])
+    np.testing.assert_allclose(found.mean, rows.mean(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(found.square, rows.var(axis=0), rtol=1e-5)
+    scaled = found.scale(jnp.asarray(rows))
+    np.testing.assert_allclose([scaled.mean(axis=0), scaled.std(axis=0)], [[0.0] * 2, [1.0] * 2], atol=1e-4)
+    assert float(ppo.Moments(jnp.zeros(1), jnp.zeros(1), 1.0).scale(jnp.ones(1))[0]) == ppo.LARGEST
 
 
 def test_an_advantage_is_the_sum_of_surprises_until_the_loss():

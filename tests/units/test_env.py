@@ -21,8 +21,10 @@ from jax_aero.base.features import Aim
 from jax_aero.base.places import CONFIGS
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv, HoverVectorEnv
-from jax_aero.env_task import Task, TaskState, limit_action, observation, rewards, steer
+from jax_aero.env_task import FEATURES, Task, TaskState, disturb, limit_action, observe, rewards, steer
 from jax_aero.rust import load_config
+from jax_aero.sim.wind import wind_velocity
+from jax_aero.types import replace_values
 from tests.measurements import measured
 
 EXPERIMENTS = CONFIGS / "experiments"
@@ -315,7 +317,8 @@ def test_the_observation_is_what_its_table_says():
     velocity, joints, posture, com, wrench = (rng.normal(size=size) for size in (8, 2, 2, 3, 6))
     aim = Aim(rng.normal(size=3), aimed.as_matrix(), rng.normal(size=3), rng.normal(size=3))
     limits = np.array([100.0, 60.0, 200.0])
-    state = TaskState(base.as_matrix(), velocity, joints, np.array([50.0, 60.0, 20.0]), com, aim, posture, wrench)
+    thrust = np.array([50.0, 60.0, 20.0])
+    state = TaskState(base.as_matrix(), velocity, joints, thrust, com, aim, posture, wrench, limits)
     in_base = base.inv().apply
     turned = (aimed.inv() * base).as_rotvec()
     angle = np.linalg.norm(turned)
@@ -331,7 +334,10 @@ def test_the_observation_is_what_its_table_says():
         in_base(wrench[:3]) / 36.0,
         in_base(wrench[3:]) / 3.6,
     ]
-    np.testing.assert_allclose(observation(np, state, limits), np.concatenate(parts), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(observe(np, FEATURES, state), np.concatenate(parts), rtol=1e-12, atol=1e-14)
+    chosen = np.concatenate([parts[7], parts[2]])
+    np.testing.assert_allclose(observe(np, ("thrust", "position"), state), chosen, rtol=1e-12)
+    np.testing.assert_array_equal(observe(np, lambda _, state: state.com, state), com)
 
 
 def test_an_action_is_thrust_rates_and_joint_velocities():
@@ -451,9 +457,9 @@ def test_an_action_of_another_shape_is_refused(size):
 
 def test_the_effort_is_that_of_the_action_that_is_flown():
     """Beyond the bounds none is added; a robot with nothing to steer makes none."""
-    nothing = np.zeros(3)
+    nothing, none = np.zeros(3), np.zeros(0)
     aim = Aim(nothing, np.eye(3), nothing, nothing)
-    task_state = TaskState(np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), nothing, aim, np.zeros(0), np.zeros(6))
+    task_state = TaskState(np.eye(3), np.zeros(6), none, none, nothing, aim, none, np.zeros(6), none)
     crate = HoverEnv()
     crate.reset(options={"wind": WIND})
     assert crate.step(np.full(27, 30.0))[4]["effort"] == pytest.approx(-0.01)
@@ -462,13 +468,108 @@ def test_the_effort_is_that_of_the_action_that_is_flown():
 
 def test_the_reward_falls_with_angle_distance_and_effort():
     """At 1 - cos of 0.05, and at 0.05 m², each half of it is e times less; effort is a hundredth of the mean square."""
-    nothing, cosine = np.zeros(3), 0.95
+    nothing, none, cosine = np.zeros(3), np.zeros(0), 0.95
     sine = np.sqrt(1.0 - cosine**2)
     turned = np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
     com, aim = np.array([0.1, 0.2, 0.0]), Aim(nothing, np.eye(3), nothing, nothing)
-    task_state = TaskState(turned, np.zeros(6), np.zeros(0), np.zeros(0), com, aim, np.zeros(0), np.zeros(6))
+    task_state = TaskState(turned, np.zeros(6), none, none, com, aim, none, np.zeros(6), none)
     found = rewards(np, task_state, np.array([1.0, -0.5]))
     assert found == pytest.approx({"attitude": 0.5 / np.e, "position": 0.5 / np.e, "effort": -0.00625}, rel=1e-12)
+
+
+# --- own observation, reward and disturbances
+
+
+def both(task, **given):
+    """Return a tick of both environments in the same wind, without an action: observation, reward and its parts."""
+    crate, twin = HoverEnv(task, **given), FlightEnv(task, **given)
+    crate.reset(options={"wind": WIND})
+    seen, reward, _, _, parts = crate.step(np.zeros(27, np.float32))
+    state = jax.jit(twin.step)(twin.start(jnp.array(WIND)), jnp.zeros(27))
+    return (seen, reward, parts), (state.obs, state.reward, state.metrics), (crate, twin)
+
+
+def test_observation_and_reward_are_arguments(x64):
+    """A function of one's own, by NumPy over the crate and by JAX; parts are recorded by name."""
+    height = lambda xp, state: xp.stack([state.com[..., 2], state.thrust[..., 0]], axis=-1)  # noqa: E731
+    reward = lambda xp, state, action: {"low": -state.com[..., 2], "still": 1.0 - xp.sum(action**2, axis=-1)}  # noqa: E731
+    ours, twin, (crate, env) = both(Task(ramp=0.1), observation=height, reward=reward)
+    assert (crate.observation_space.shape, env.observation_size) == ((2,), 2)
+    np.testing.assert_allclose(ours[0], twin[0], rtol=1e-6)
+    assert ours[1] == pytest.approx(1.0 - ours[0][0], rel=1e-6) == pytest.approx(float(twin[1]), rel=1e-6)
+    assert set(ours[2]) == {"low", "still"} == set(twin[2]) - {"attitude_error", "position_error"}
+
+
+def test_a_feature_that_is_none_is_refused():
+    for environment in (FlightEnv, HoverEnv):
+        with pytest.raises(ValueError, match=r"`observation` is \('height',\); expected a function, or names of"):
+            environment(observation=("height",))
+
+
+def test_a_set_point_apart_from_the_start(x64):
+    """A robot that begins tilted by 60° and 0.3 m beside it: the errors that both observe are these."""
+    task = Task(steering="rates", attitude_deg=(0.0, 0.0, 180.0), offset=(0.3, 0.0, 0.0))
+    config = load_config("test1", {"simulator.initial.base_rpy_deg": [60.0, 0.0, 180.0]})
+    ours, twin, (_, env) = both(task, drawn=[config])
+    np.testing.assert_allclose(ours[0], twin[0], atol=1e-6)
+    start = env.start(jnp.zeros(3)).obs
+    np.testing.assert_allclose(start[3:6], [np.sin(np.radians(60.0)), 0.0, 0.0], atol=1e-9)
+    assert np.linalg.norm(start[6:9]) == pytest.approx(0.3)
+    assert float(twin[2]["attitude_error"]) == pytest.approx(np.radians(60.0), abs=0.02)
+    for given in ({"tracking": True}, {"steering": "residual"}):
+        with pytest.raises(ValueError, match="expected neither with `tracking` or a residual"):
+            Task(**{"steering": "rates"} | given, offset=(0.1, 0.0, 0.0))
+
+
+def test_a_turbulent_wind_is_drawn_anew(x64):
+    """Over its speed it has the standard deviation of the task; every episode has other turbulence."""
+    task = Task(profile="turbulent", ramp=0.0, turbulence=0.2, duration=30.0)
+    env = FlightEnv(task)
+    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 3))
+    assert len(np.unique(states.data.phases[:, 0, 0])) == 3
+    scenario = env._pick(0).scenario
+
+    def wind(state, time):
+        blown = replace_values(scenario, env._wind(state.data._replace(wind=jnp.array([10.0, 0.0, 0.0]))))
+        return wind_velocity(blown.wind, time)
+
+    times = jnp.linspace(0.0, 2000.0, 4001)
+    found = jax.vmap(lambda time: wind(jax.tree.map(lambda leaf: leaf[0], states), time))(times)
+    np.testing.assert_allclose(found.mean(axis=0), [10.0, 0.0, 0.0], atol=0.3)
+    np.testing.assert_allclose(found.std(axis=0), [2.0, 2.0, 1.0], rtol=0.1)
+    hover = HoverEnv(task)
+    seeds = {hover.reset(seed=seed) and hover._config["wind"]["seed"] for seed in range(3)}
+    assert len(seeds) == 3
+    assert hover._config["wind"]["std"] == pytest.approx(np.linalg.norm(hover._wind) * np.array([0.2, 0.2, 0.1]))
+
+
+def test_a_curriculum_changes_winds_and_numbers(x64):
+    env = FlightEnv(Task(steering="rates"))
+    winds = lambda most: jax.vmap(env.at(wind_max=most).draw_wind)(jax.random.split(jax.random.key(0), 50))  # noqa: E731
+    assert np.linalg.norm(jax.jit(winds)(2.0), axis=1).max() < 2.0
+    heavier = env.at(values={"plant.robot.gravity": 2.0 * env._pick(0).scenario.plant.robot.gravity})
+    begun = env.start(jnp.zeros(3))
+    fallen = [jax.jit(one.step)(begun, jnp.zeros(27)).data.flight.plant.robot.velocity[2] for one in (env, heavier)]
+    assert fallen[1] < fallen[0] - 0.05  # half of 9.81 m/s² more for 0.01 s
+
+
+def test_drawn_disturbances_fly_in_both(x64):
+    """Pushes, kicks and engines that fade differ in numbers alone; a fade is of a drawn jet."""
+    config = load_config("test1")
+    drawn = disturb(config, 6, 1, push=50.0, kick=20.0, fade=0.5)
+    pushes = [one["disturbances"]["pushes"] for one in drawn]
+    assert max(np.linalg.norm(push[0]["force"]) for push in pushes) <= 50.0
+    assert all(2.0 <= push["start"] <= 8.0 for both in pushes for push in both)
+    assert len({one["disturbances"]["jets"]["failure"]["jet"] for one in drawn}) > 1
+    assert FlightEnv(Task(), drawn)._count == 6
+    HoverEnv(Task(), drawn).reset(seed=0)
+    assert disturb(config, 1, 1)[0]["disturbances"] == config["disturbances"]
+
+
+def test_a_mission_is_tracked_with_engines_that_lag(x64):
+    config = load_config("test1", {"simulator.jets": {"dynamics": "throttled"}})
+    ours, twin, _ = both(Task(tracking=True), drawn=[config])
+    np.testing.assert_allclose(ours[0], twin[0], atol=1e-6)
 
 
 # --- training

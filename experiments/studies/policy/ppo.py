@@ -6,7 +6,8 @@ cost = −mean min( ρ A, clip(ρ, 1 ± c) A ) + ½ mean (V − A − V₀)²,  
 ```
 
 Actions are normal about those of the policy, and limited by the environment; advantages are scaled to mean zero and
-deviation one. Networks, flights and their starts are those of `jax_aero.train.policy`.
+deviation one, observations by their running mean and deviation. Flights and their starts are those of
+`jax_aero.train.policy`.
 
 Source: Schulman et al. 2017, arXiv:1707.06347; advantages: Schulman et al., ICLR 2016.
 """
@@ -21,11 +22,14 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.base import tables
-from jax_aero.control.law.residual import Policy, evaluate
+from jax_aero.control.law.residual import Policy, evaluate, weigh
 from jax_aero.env import EnvState, FlightEnv
 from jax_aero.train.adam import AdamState, adam_start, adam_step
-from jax_aero.train.policy import Flight, Trainer, begin_all, begin_anew, counts, init_network, scale_of, value_of
+from jax_aero.train.policy import Flight, Trainer, begin_all, begin_anew, counts, init_network
 from jax_aero.types import Array, pytree
+
+LARGEST = 10.0
+"""Greatest scaled observation."""
 
 
 class Settings(tables.Table, frozen=True):
@@ -63,16 +67,58 @@ class Learnt(NamedTuple):
     value: Policy
 
 
+class Moments(NamedTuple):
+    """What observations are scaled by."""
+
+    mean: Float[Array, " o"]
+    square: Float[Array, " o"]
+    """Mean squared deviation."""
+    number: Float[Array, ""]
+    """Of observations."""
+
+    def scale(self, obs: Float[Array, "*b o"]) -> Float[Array, "*b o"]:
+        """Return observations with mean zero and deviation one, limited to `LARGEST`."""
+        return jnp.clip((obs - self.mean) / jnp.sqrt(self.square + 1e-6), -LARGEST, LARGEST)
+
+    def updated(self, obs: Float[Array, "n o"]) -> Moments:
+        """Return the moments of these observations and those before."""
+        mean, square, number = jnp.mean(obs, axis=0), jnp.var(obs, axis=0), self.number + obs.shape[0]
+        share, apart = obs.shape[0] / number, mean - self.mean
+        mixed = (1.0 - share) * self.square + share * square + share * (1.0 - share) * apart**2
+        return Moments(self.mean + share * apart, mixed, number)
+
+
+class Actor(NamedTuple):
+    """The policy without noise, as `jax_aero.train.policy.Network` has its parameters."""
+
+    policy: Policy
+    moments: Moments
+
+
+class Normalised:
+    """The network whose parameters are an `Actor`."""
+
+    def init(self, key: Array) -> Actor:
+        """Return nothing: PPO begins by itself."""
+        raise NotImplementedError
+
+    def apply(self, parameters: Actor, obs: Float[Array, " o"]) -> Float[Array, " u"]:
+        """Return the action of an observation."""
+        action: Array = evaluate(jnp, parameters.policy, parameters.moments.scale(obs))
+        return action
+
+
 @pytree
 class _State:
     learnt: Learnt
+    moments: Moments
     adam: AdamState
     flights: Flight
 
     @property
-    def policy(self) -> Policy:
+    def parameters(self) -> Actor:
         """Return the policy without noise."""
-        return self.learnt.policy
+        return Actor(self.learnt.policy, self.moments)
 
 
 class Seen(NamedTuple):
@@ -114,16 +160,27 @@ def _start(env: FlightEnv, settings: Settings, key: Array) -> _State:
         jnp.full(env.action_size, jnp.log(settings.deviation)),
         init_network(for_value, inputs, hidden, 1, 0.1),
     )
-    return _State(learnt, adam_start(learnt), begin_all(env, for_flights, settings.batch))
+    flights = begin_all(env, for_flights, settings.batch)
+    # With the weight of a window, so that the first one does not move them all the way.
+    about = flights.state.obs
+    size = jnp.asarray(float(settings.batch * settings.ticks))
+    moments = Moments(jnp.mean(about, axis=0), jnp.ones(inputs), size)
+    return _State(learnt, moments, adam_start(learnt), flights)
+
+
+def value_of(value: Policy, obs: Float[Array, " o"]) -> Float[Array, ""]:
+    """Return the expected return of a scaled observation."""
+    number: Array = weigh(jnp, value, obs)[0]
+    return number
 
 
 def _step(
-    env: FlightEnv, settings: Settings, key: Array, state: _State, share: Array
+    env: FlightEnv, settings: Settings, key: Array, state: _State, _number: Array, share: Array
 ) -> tuple[_State, tuple[Array, Array]]:
     """Fly one window of every flight, and learn from it."""
     for_noise, for_order, for_flights = jax.random.split(key, 3)
     keys = jax.random.split(for_noise, settings.batch)
-    flights, seen = jax.vmap(partial(_fly, env, settings, state.learnt))(state.flights, keys)
+    flights, seen, raw = jax.vmap(partial(_fly, env, settings, state.learnt, state.moments))(state.flights, keys)
     samples = jax.vmap(partial(_judge, settings, state.learnt))(seen)
     samples = samples._replace(advantage=_standard(samples.advantage, samples.weight))
     flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), samples)
@@ -140,23 +197,25 @@ def _step(
     chosen = orders.reshape(settings.epochs * settings.parts, -1)
     (adam, learnt), _ = jax.lax.scan(improve, (state.adam, state.learnt), chosen)
     is_lost = jnp.max(seen.done, axis=1)
-    after = _State(learnt, adam, begin_anew(env, for_flights, flights, is_lost))
+    moments = state.moments.updated(raw.reshape(-1, raw.shape[-1]))
+    after = _State(learnt, moments, adam, begin_anew(env, for_flights, flights, is_lost))
     return after, (jnp.mean(seen.reward), jnp.mean(is_lost))
 
 
-def _fly(env: FlightEnv, settings: Settings, learnt: Learnt, flight: Flight, key: Array) -> tuple[Flight, Seen]:
-    """Fly the next ticks of a flight with noise on its actions."""
-    scale = jnp.asarray(scale_of(env.observation_size, env.action_size))
+def _fly(
+    env: FlightEnv, settings: Settings, learnt: Learnt, moments: Moments, flight: Flight, key: Array
+) -> tuple[Flight, Seen, Float[Array, "t o"]]:
+    """Fly the next ticks of a flight with noise on its actions; return what is observed before scaling, too."""
     deviation = jnp.exp(learnt.log_deviation)
 
-    def tick(state: EnvState, key: Array) -> tuple[EnvState, Seen]:
-        obs = scale * state.obs
+    def tick(state: EnvState, key: Array) -> tuple[EnvState, tuple[Seen, Array]]:
+        obs = moments.scale(state.obs)
         action = evaluate(jnp, learnt.policy, obs) + deviation * jax.random.normal(key, deviation.shape)
         after = env.step(state, action)
-        return after, Seen(obs, scale * after.obs, action, after.reward, after.done)
+        return after, (Seen(obs, moments.scale(after.obs), action, after.reward, after.done), state.obs)
 
-    state, seen = jax.lax.scan(tick, flight.state, jax.random.split(key, settings.ticks))
-    return Flight(state, flight.age + settings.ticks), seen
+    state, (seen, raw) = jax.lax.scan(tick, flight.state, jax.random.split(key, settings.ticks))
+    return Flight(state, flight.age + settings.ticks), seen, raw
 
 
 def _judge(settings: Settings, learnt: Learnt, seen: Seen) -> Sample:

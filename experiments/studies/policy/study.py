@@ -29,7 +29,6 @@ from jax_aero.base.features import Aim
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.robot import load_robot
 from jax_aero.control.law.policy_card import make_card
-from jax_aero.control.law.residual import Policy
 from jax_aero.env import FlightEnv
 from jax_aero.env_task import Steering, Task, TaskState, is_lost, rewards
 from jax_aero.results.study import Findings, Study
@@ -37,7 +36,7 @@ from jax_aero.results.work import Work
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sweep.perturbation import Perturbation
 from jax_aero.train import policy
-from jax_aero.train.policy import Row, Settings, Trainer, TrainingResult, fly_episodes, residual_of
+from jax_aero.train.policy import Network, Row, Settings, Trainer, TrainingResult, approach, fly_episodes, residual_of
 
 TRAINING, JUDGEMENT = 2**41, 2**40
 """Seeds of starts of training and judgement, and of the winds of the latter."""
@@ -70,6 +69,8 @@ class PolicyConfig(tables.Table, frozen=True):
     """Thrust rate of an action of 1 [N/s]."""
     joint_velocity: tables.Positive = 2.0
     """Joint velocity of an action of 1 [rad/s]."""
+    ahead: tables.NonNegative = 0.3
+    """Time constant of the approach that is rewarded in a training by gradients [s]."""
     seeds: Annotated[tuple[tables.Seed, ...], msgspec.Meta(min_length=1)] = (0, 1, 2, 3, 4)
     starts: tables.Count = 128
     """Starts that are drawn for the training; each episode draws one of them, and its wind."""
@@ -98,12 +99,15 @@ class PolicyConfig(tables.Table, frozen=True):
             joint_velocity=self.joint_velocity,
         )
 
-    def trainer(self, env: FlightEnv) -> Trainer:
-        """Return the training of an environment."""
+    def training(self) -> tuple[Trainer, Network]:
+        """Return the training, and the network that it trains."""
+        drawn = self.drawn(TRAINING, self.starts)
         if self.gradients is not None:
-            return policy.trainer(env, self.gradients)
+            env = FlightEnv(self.task, drawn, reward=approach(self.ahead))
+            network = policy.perceptron(env, self.gradients.hidden)
+            return policy.trainer(env, self.gradients, network), network
         assert self.ppo is not None
-        return ppo.trainer(env, self.ppo)
+        return ppo.trainer(FlightEnv(self.task, drawn), self.ppo), ppo.Normalised()
 
     @property
     def flight(self) -> rust.Config:
@@ -131,8 +135,8 @@ class Judged(tables.Table, frozen=True):
     """Share of the episodes."""
 
 
-Judge = Callable[[Policy, int], tuple[NDArray[np.float64], NDArray[np.float64]]]
-"""Function from a policy and a number of episodes to their mean rewards and whether they survive."""
+Judge = Callable[[Any, int], tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""Function from parameters and a number of episodes to their mean rewards and whether they survive."""
 
 
 def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
@@ -140,10 +144,10 @@ def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
     task, seeds = config.task, config.seeds
     flight = config.flight
     with jax.enable_x64(False):
-        env = FlightEnv(task, config.drawn(TRAINING, config.starts))
-        judge, trainer = judge_of(config), config.trainer(env)
+        trainer, network = config.training()
+        judge = judge_of(config, network)
         runs = [_train(trainer, seed, config, judge, work) for seed in seeds]
-        found = [judge(run.policy, config.episodes) for run, _ in runs]
+        found = [judge(run.parameters, config.episodes) for run, _ in runs]
     earned, survived = (np.array(of) for of in zip(*found, strict=True))
     summary: dict[str, Any] = {}
     texts: dict[str, str | bytes] = {}
@@ -157,14 +161,16 @@ def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
             "wall [min]": sum(row.wall for row in run.rows) / 60.0,
             f"processor to a reward of {SOON} [min]": soon[0] if soon else None,
         }
+        if not isinstance(network, policy.Perceptron):
+            continue  # a card has no moments of observations
         card, weights = make_card(
             f"seed_{seed}",
-            residual_of(run.policy, task, robot.jets.count),
+            residual_of(network.to_policy(run.parameters), task, robot.jets.count),
             robot,
             description=f"{config.title}: {task.experiment}, seed {seed}.",
             training={
                 "task": dataclasses.asdict(task),
-                "settings": plain_values.to_builtins(config.gradients or config.ppo),
+                "settings": {**plain_values.to_builtins(config.gradients), "ahead": config.ahead},
                 "seed": seed,
                 "flight": rust.config_digest(flight),
                 **figures,
@@ -176,15 +182,15 @@ def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
     return Findings(config.title, dataset, summary, flights=shipped, texts=texts)
 
 
-def judge_of(config: PolicyConfig) -> Judge:
-    """Return the judge of a configuration's policies."""
+def judge_of(config: PolicyConfig, network: Network) -> Judge:
+    """Return the judge of a configuration's policies: by the task's reward, whatever they are trained by."""
     env = FlightEnv(config.task, config.drawn(JUDGEMENT, config.episodes))
     winds = jnp.asarray(draw_winds(JUDGEMENT, config.episodes, config.task))
-    fly = jax.jit(lambda *of: fly_episodes(env, *of), compiler_options=COMPILER_OPTIONS)
+    fly = jax.jit(lambda *of: fly_episodes(env, network, *of), compiler_options=COMPILER_OPTIONS)
 
-    def judge(policy: Policy, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def judge(parameters: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         numbers = np.arange(count).reshape(-1, CHUNK)
-        parts = [fly(policy, winds[chunk], jnp.asarray(chunk)) for chunk in numbers]
+        parts = [fly(parameters, winds[chunk], jnp.asarray(chunk)) for chunk in numbers]
         earned, survived = (np.concatenate(of, dtype=np.float64) for of in zip(*parts, strict=True))
         return earned, survived
 
@@ -198,7 +204,9 @@ def _train(
     job = f"judged {seed}"
     judged = [tables.convert(one, Judged, job) for one in work.read_json(job) or []]
 
-    def on_step(step: int, trained: Policy, rows: list[Row]) -> None:
+    def on_step(step: int, trained: Any, rows: list[Row]) -> None:
+        if step == len(rows) == 1:
+            print(f"seed {seed}: the first of {trainer.steps} steps, with compilation, took {rows[0].wall:.0f} s")
         if step % config.judge_every:
             return
         earned, survived = judge(trained, CHUNK)
@@ -226,7 +234,7 @@ def rewards_in_crate(config: dict[str, Any], task: Task) -> list[float]:
     for _ in range(task.ticks(config["controller"]["time_step"])):
         goes_on, now = flight.step(), flight.truth.state
         com = rust.dynamics(robot, now).com_position
-        seen = TaskState(np.asarray(now.base_rotation), nothing, nothing, nothing, com, aim, nothing, nothing)
+        seen = TaskState(np.asarray(now.base_rotation), nothing, nothing, nothing, com, aim, nothing, nothing, nothing)
         if not goes_on or is_lost(np, seen, fall):
             break
         found.append(float(sum(rewards(np, seen, flight.last.residual / effects).values())))
