@@ -1,4 +1,4 @@
-"""Draw the frames that `docs/reference.md` explains, from the robot's own files: `docs/img/frames.png`."""
+"""Draw `docs/img/frames.png`, the frames of `docs/reference.md`, and `copies.png`, a controller and its copy."""
 
 from __future__ import annotations
 
@@ -11,23 +11,51 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from jax_aero import rust
+from jax_aero import memory, rust
 from jax_aero.body.kinematics import Kinematics, frame_poses, kinematics
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.types import State
 
 ROOT = Path(__file__).resolve().parents[1]
 EXPERIMENT = ROOT / "configs/experiments/test2.toml"
-TARGET = ROOT / "docs/img/frames.png"
+TARGET, COPIES = ROOT / "docs/img/frames.png", ROOT / "docs/img/copies.png"
 INK, WIND, BASE, JET, GREY = "#24292f", "#0072b2", "#d55e00", "#cc79a7", "#c5cbd1"
 FACING_X = np.diag([-1.0, -1.0, 1.0])  # yaw of 180 degrees: the base's x axis points backwards
 
 Array = NDArray[np.float64]
 
 
+SETTINGS = {
+    "joint observer 0.02 s, force 3 1/s": (0.02, 3.0),
+    "0.02 s, 2 1/s": (0.02, 2.0),
+    "0.05 s, 3 1/s": (0.05, 3.0),
+}
+"""Time constant of the joint observer [s] and gain of the observed force [1/s] of iRonCub-Mk3's controller."""
+
+
 def main() -> None:
-    """Draw the hovering robot from its right and from behind."""
+    """Draw both."""
     mpl.rcParams.update({"font.size": 9, "axes.spines.right": False, "axes.spines.top": False})
+    draw_copies()
+    draw_frames()
+
+
+def draw_copies() -> None:
+    """Draw what becomes of a difference between a controller and its copy."""
+    figure, axes = plt.subplots(figsize=(6.0, 3.2), layout="constrained")
+    for (label, (joints, force)), color in zip(SETTINGS.items(), (BASE, WIND, INK), strict=True):
+        observers = {"estimator.joint_observer": joints, "disturbance_observer.gain_force": force}
+        changes = {f"controller.{key}": value for key, value in observers.items()}
+        found = memory.growth(rust.load_config("mk3_robot", changes))
+        axes.semilogy(found.time, found.difference.max(axis=1), color=color, lw=1.2, label=label)
+    axes.set(xlabel="time since one tick had other measurements [s]", ylabel="difference of the commands", xlim=(0, 6))
+    axes.legend(frameon=False, loc="upper left")
+    figure.savefig(COPIES, dpi=130, metadata={"Software": None})
+    print(f"wrote {COPIES.relative_to(ROOT)}")
+
+
+def draw_frames() -> None:
+    """Draw the hovering robot from its right and from behind."""
     config = rust.load_config(EXPERIMENT)
     jax.config.update("jax_enable_x64", True)
     robot = load_robot(config["robot"])

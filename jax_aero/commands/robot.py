@@ -159,6 +159,8 @@ def import_robot(
             )
         except ValueError as reason:  # of a file that will not be there
             raise Refused(str(reason).replace(f"{path}: ", "").replace(f"{draft}{os.sep}", "")) from reason
+    if result.growth is not None and not result.growth.stays:
+        warnings.warn(f"the controller's copy {result.growth}: Controllers, a controller and its copy", stacklevel=2)
     return dataclasses.replace(result, folder=folder, unused=listing.unused)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jax_aero import rust
+from jax_aero import memory, rust
 from jax_aero.base import places
 from jax_aero.base.result import ending
 from jax_aero.body.robot import RobotModel
@@ -42,6 +42,8 @@ class ImportResult:
     robot: RobotModel | None = None
     unused: Mapping[str, int] = dataclasses.field(default_factory=dict)
     """How often each tag of the URDF is there that is not used."""
+    growth: memory.Growth | None = None
+    """What becomes of a difference between the controller and its copy; `None` for a hover that is not completed."""
 
 
 def fly(
@@ -69,16 +71,18 @@ def fly(
     text = scenario.controller_text(controller, twin, dynamics, leans=(down, down + lean), soles=soles, folder=folder)
     study.write_with_schema(folder / "controller.toml", "control", text)
 
-    def flight(name: str, mission: str, wind: str, duration: float) -> rust.FlightResult:
+    def flight(name: str, mission: str, wind: str, duration: float) -> tuple[rust.Config, rust.FlightResult]:
         what = {"title": TITLES[mission], "mission": mission, "wind": wind}
         text = scenario.scenario_text(robot, trim, folder, **what, duration=duration, height=height)
         file = folder / f"{places.file_name(robot.name)}_{name}.toml"
         study.write_with_schema(file, "experiments", text)
-        return rust.fly(rust.load_config(file))
+        config = rust.load_config(file)
+        return config, rust.fly(config)
 
-    hover = flight("hover", HOVER, "still", 10.0)
-    mission = flight("mission", MISSION, "lateral_ramp", 50.0) if fly_mission else None
-    return ImportResult(folder, trim, hover, mission, twin)
+    config, hover = flight("hover", HOVER, "still", 10.0)
+    growth = memory.growth(config, hover.log) if hover.outcome == "completed" else None
+    mission = flight("mission", MISSION, "lateral_ramp", 50.0)[1] if fly_mission else None
+    return ImportResult(folder, trim, hover, mission, twin, growth=growth)
 
 
 def _trim(robot: Robot, posture_deg: Mapping[str, float], forward: str) -> TrimResult:

@@ -21,6 +21,7 @@ from jax_aero.body import mesh
 from jax_aero.body.robot import load_robot as load_twin
 from jax_aero.body.urdf import IDENTITY, read_urdf
 from jax_aero.commands import robot as command
+from jax_aero.memory import Growth
 from jax_aero.mujoco.model import mujoco_model, order_of
 from jax_aero.robot import flight, masses, scenario, shapes, skeleton
 from jax_aero.symbolic import load_robot
@@ -230,6 +231,26 @@ def test_the_sparrows_urdf_becomes_a_robot_that_flies(tmp_path, capsys):
     # The files are the user's: nothing is written over them.
     assert command.main(words) == 2
     assert "not empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("stays", [True, False])
+def test_a_controller_whose_copy_parts_from_it_is_warned_of(stays, tmp_path, monkeypatch):
+    """Of any import; whether this one's does is measured in its hover."""
+    growths = []
+
+    def growth(config, log):
+        assert len(log["time"]) == 1001
+        growths.append(Growth(np.array([1.0 if stays else 1.0142 * np.exp(0.0314j)]), np.zeros(1), np.zeros(1), 0.01))
+        return growths[0]
+
+    monkeypatch.setattr(flight.memory, "growth", growth)
+    jets = [command.thruster(f"nozzle_{k}:z:80") for k in range(6)]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        result = command.import_robot(ROBOTS / "platform.urdf", tmp_path / "out", jets=jets)
+    assert [result.growth] == growths
+    parts = "the controller's copy parts from it: a difference grows tenfold in 1.6 s, at 0.5 Hz"
+    assert any(str(one.message).startswith(parts) for one in told) == (not stays)
 
 
 def test_names_may_hold_what_is_no_bare_key(tmp_path):
