@@ -1,4 +1,5 @@
-//! The nonlinear plan of a descent: its expansion against JAX's, its backward pass against costs of other inputs.
+//! The nonlinear plan of a descent: its expansion against JAX's, its backward pass against dense solutions, and against costs
+//! of other inputs.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -296,4 +297,185 @@ fn the_work_of_a_tick_is_that_of_a_whole_plan() {
         flight.advance(&Vector3::zeros());
     }
     assert_eq!(most, WORK);
+}
+
+/// The change of a knot's inputs that a backward pass gives, `step + gain δx`, along all knots: columns are the motions that
+/// begin with the columns of `start`; those after the first have no step.
+fn follow(
+    expansions: &[Expansion],
+    (n, m): (usize, usize),
+    (steps, gains): (&[f64], &[f64]),
+    start: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let knots = expansions.len() - 1;
+    let (mut state, mut all) = (start.clone(), DMatrix::zeros(knots * m, start.ncols()));
+    for knot in 0..knots {
+        let gain = DMatrix::from_column_slice(m, n, &gains[knot * m * n..(knot + 1) * m * n]);
+        let mut inputs = gain * &state;
+        let mut first = inputs.column_mut(0);
+        first += DVector::from_column_slice(&steps[knot * m..(knot + 1) * m]);
+        all.rows_mut(knot * m, m).copy_from(&inputs);
+        let dynamics = DMatrix::from_column_slice(n, n + m, &expansions[knot].dynamics);
+        state = dynamics.columns(0, n) * &state + dynamics.columns(n, m) * inputs;
+    }
+    all
+}
+
+/// The cost of a motion as one quadratic function of everything that is free: the difference at its beginning, and all inputs.
+/// Returns its second derivative, and the first one at zero.
+fn dense_cost(
+    expansions: &[Expansion],
+    (n, m): (usize, usize),
+    damping: f64,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let knots = expansions.len() - 1;
+    let size = n + knots * m;
+    let (mut hessian, mut gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
+    let mut state = DMatrix::zeros(n, size);
+    state.view_mut((0, 0), (n, n)).fill_with_identity();
+    for (knot, expansion) in expansions.iter().enumerate() {
+        let mut both = DMatrix::zeros(n + m, size);
+        both.rows_mut(0, n).copy_from(&state);
+        if knot < knots {
+            both.view_mut((n, n + knot * m), (m, m)).fill_with_identity();
+            for input in n + knot * m..n + (knot + 1) * m {
+                hessian[(input, input)] += damping;
+            }
+        }
+        let own = DMatrix::from_column_slice(n + m, n + m, &expansion.hessian);
+        hessian += both.transpose() * own * &both;
+        gradient += both.transpose() * DVector::from_column_slice(&expansion.gradient);
+        state = DMatrix::from_column_slice(n, n + m, &expansion.dynamics) * both;
+    }
+    (hessian, gradient)
+}
+
+/// A backward pass without bounds has the least cost of one dense linear system in all inputs of all knots, from every
+/// beginning. With bounds, each knot's inputs cost least as long as later ones follow their feedback: the derivative of the dense
+/// cost along that policy vanishes for free inputs, from every beginning, and pushes held ones against their bounds.
+fn assert_is_dense(expansions: &[Expansion], known: &[f64], bounds: &[(f64, f64)], damping: f64) -> usize {
+    let (m, knots) = (bounds.len(), expansions.len() - 1);
+    let n = expansions[0].gradient.len() - m;
+    let (hessian, gradient) = dense_cost(expansions, (n, m), damping);
+    let of_inputs = hessian.view((n, n), (knots * m, knots * m)).into_owned();
+    // Beginnings: none and every unit difference.
+    let mut start = DMatrix::zeros(n, n + 1);
+    start.columns_mut(1, n).fill_with_identity();
+    let (mut steps, mut gains) = (vec![0.0; knots * m], vec![0.0; knots * m * n]);
+    let mut riccati = Riccati::new(n, m);
+
+    let free = vec![(f64::NEG_INFINITY, f64::INFINITY); m];
+    let answer = riccati.solve(expansions, known, &free, damping, (&mut steps, &mut gains));
+    assert!(answer.status == QpStatus::Solved, "{answer:?}");
+    let found = follow(expansions, (n, m), (&steps, &gains), &start);
+    let mut right = hessian.view((n, 0), (knots * m, n)) * &start;
+    let mut first = right.column_mut(0);
+    first += gradient.rows(n, knots * m);
+    let dense = -of_inputs.clone().cholesky().unwrap().solve(&right);
+    let scale = dense.amax();
+    assert!((&found - &dense).amax() < TOLERANCE_DENSE * scale, "{} of {scale}", (&found - &dense).amax());
+
+    let answer = riccati.solve(expansions, known, bounds, damping, (&mut steps, &mut gains));
+    assert!(answer.status == QpStatus::Solved && answer.kkt <= KKT_TOLERANCE, "{answer:?}");
+    // How all inputs change when a knot's inputs do and later ones follow; before it the robot is as it was.
+    let mut held = 0;
+    for knot in 0..knots {
+        let rest = &expansions[knot..];
+        let (hessian, gradient) = dense_cost(rest, (n, m), damping);
+        let after = (&steps[knot * m..], &gains[knot * m * n..]);
+        let motion = follow(rest, (n, m), after, &start);
+        let mut by_inputs = DMatrix::zeros(n + (knots - knot) * m, m);
+        by_inputs.view_mut((n, 0), (m, m)).fill_with_identity();
+        if knot + 1 < knots {
+            let dynamics = DMatrix::from_column_slice(n, n + m, &rest[0].dynamics);
+            let moved = dynamics.columns(n, m).into_owned();
+            let none = vec![0.0; steps.len()];
+            let after = (&none[..(knots - knot - 1) * m], &gains[(knot + 1) * m * n..]);
+            let later = follow(&rest[1..], (n, m), after, &moved);
+            by_inputs.rows_mut(n + m, (knots - knot - 1) * m).copy_from(&later);
+        }
+        // Along the policy from each beginning the derivative of the cost by this knot's inputs, and what it is made of.
+        let mut both = DMatrix::zeros(n + (knots - knot) * m, n + 1);
+        both.rows_mut(0, n).copy_from(&start);
+        both.rows_mut(n, (knots - knot) * m).copy_from(&motion);
+        let mut slope = &hessian * &both;
+        let mut first = slope.column_mut(0);
+        first += gradient;
+        let scale = (by_inputs.abs().transpose() * (hessian.abs() * both.abs())).amax();
+        let of_knot = by_inputs.transpose() * slope;
+        for (input, (least, greatest)) in bounds.iter().enumerate() {
+            let place = knot * m + input;
+            let to = known[place] + steps[place];
+            assert!(to >= least - 1e-12 && to <= greatest + 1e-12, "{knot} {input}: {to}");
+            let gain = (0..n)
+                .map(|state| gains[knot * m * n + input + state * m])
+                .fold(0.0, |most: f64, by| most.max(by.abs()));
+            if gain == 0.0 {
+                held += 1;
+                let is_least = (to - least).abs() <= (to - greatest).abs();
+                let pushes = if is_least { of_knot[(input, 0)] } else { -of_knot[(input, 0)] };
+                assert!((to - least).abs().min((to - greatest).abs()) < 1e-12, "{knot} {input}: {to}");
+                // That of an engine that has stopped lies at both.
+                assert!(
+                    least == greatest || pushes >= -TOLERANCE_DENSE * scale,
+                    "{knot} {input}: {pushes} of {scale}"
+                );
+            } else {
+                let off = of_knot.row(input).amax();
+                assert!(off <= TOLERANCE_DENSE * scale, "{knot} {input}: {off} of {scale}");
+            }
+        }
+    }
+    held
+}
+
+/// Sums of products of some hundred numbers, of which the greatest and the least differ by 1e6.
+const TOLERANCE_DENSE: f64 = 1e-9;
+
+#[test]
+fn the_backward_pass_is_a_dense_solution() {
+    for damping in [0.0, 0.7] {
+        let (n, m, knots) = (5, 3, 6);
+        let expansions = random_problem(n, m, knots);
+        let mut rng = rng(9);
+        let known: Vec<f64> = (0..knots * m).map(|_| rng.random_range(-0.1..0.1)).collect();
+        let held = assert_is_dense(&expansions, &known, &[(-0.1, 0.1); 3], damping);
+        assert!(held > 0 && held < knots * m, "{held}");
+    }
+}
+
+/// The same of what a plan expands a moment after the loss of an arm's or of the chest's engine, on both robots.
+#[test]
+fn the_backward_pass_of_a_descent_is_a_dense_solution() {
+    for name in ["robot", "mk3_robot"] {
+        let mut config = experiment(name);
+        config.controller.law.mpc.as_mut().unwrap().nonlinear_descent = true;
+        for jet in load_robot(&config.robot).unwrap().jets.iter().step_by(2) {
+            config.disturbances.jets.failure =
+                Some(JetFailure { jet: jet.name.clone(), time: 0.1, kind: FailureKind::Off, decay: 0.0 });
+            let mut flight = Loop::new(&config);
+            flight.run(0.5, |_| Vector3::new(0.0, -8.0, 0.0));
+            let controller = &flight.controller;
+            assert!(controller.command().modes.contains(Modes::ENGINE_LIMITED), "{name}: {}", jet.name);
+            let mut aero = load_aero(&config.controller.aero, controller.model()).unwrap();
+            let (mut knot, world) = knot_at(controller, &config.controller.law);
+            let mut state = State::new(world.robot.jets.len(), knot.joints.len());
+            state.set_from(&world.now, &knot.joints);
+            let (n, m, knots) = (state.size(), knot.bounds.len(), 4);
+            let mut inputs = vec![0.0; m];
+            knot.hold(&world, &mut inputs);
+            let mut next = state.clone();
+            let mut expansions = vec![Expansion::new(n, m); knots + 1];
+            let none = vec![0.0; m];
+            for (place, expansion) in expansions.iter_mut().enumerate() {
+                let (inputs, durations) =
+                    if place < knots { (&inputs, (0.04, 0.04)) } else { (&none, (0.0, 1.0)) };
+                knot.advance(&mut aero, &world, (&state, inputs), durations, &mut next, expansion).unwrap();
+                state = next.clone();
+            }
+            let known = inputs.repeat(knots);
+            let held = assert_is_dense(&expansions, &known, &knot.bounds, 1.0);
+            assert!(held >= knots && held < knots * m, "{name} {}: {held}", jet.name);
+        }
+    }
 }
