@@ -307,6 +307,26 @@ fn without_a_set_point_the_last_one_comes_to_rest() {
     assert_within!(last.com_velocity.amax(), 1e-6);
 }
 
+/// The centre of mass touches down where it was at the first tick; from the first measured height on, as high above the ground
+/// as it is above the base that stands there.
+#[test]
+fn the_ground_is_where_the_height_says() {
+    let config = experiment("robot");
+    let mut controller = controller(&config);
+    let first = Measurement::start(&config);
+    first.tick(&mut controller);
+    let com = controller.terms().kinematics.com.z;
+    let base = first.state.base.position.z;
+    assert!((com - base).abs() > 0.01);
+    assert_within!((controller.state().touch_down() - com).abs(), 1e-12);
+    for tick in 1..4 {
+        let height = Some(2.5 - 1e-3 * f64::from(tick));
+        Measurement { time: 0.01 * f64::from(tick), height, ..first.clone() }.tick(&mut controller);
+        let above = controller.state().estimate().robot.state.base.position.z - height.unwrap();
+        assert_within!((controller.state().touch_down() - (above + com - base)).abs(), 1e-12, "{tick}");
+    }
+}
+
 /// A robot that has to go down follows no given set-point: it descends from the last one.
 #[test]
 fn on_the_way_down_no_set_point_is_followed() {
@@ -984,6 +1004,23 @@ fn the_torque_law_integrates_after_use() {
         integral += error * 0.01;
         assert_within!((controller.state().velocity_error_integral() - &integral).amax(), 1e-14);
     }
+}
+
+/// Without it in the torques, the air moves no joint in them: the free acceleration is that in no air.
+#[test]
+fn the_air_can_be_left_out_of_the_torques() {
+    let free = |is_felt: bool, density: f64| {
+        let mut config = experiment("test2");
+        config.controller.aero = aero("published", density);
+        config.controller.law.aero_feedback.torque = is_felt;
+        let mut controller = controller(&config);
+        Measurement::start(&config).tick(&mut controller);
+        controller.terms().free_acceleration.clone()
+    };
+    let (felt, left_out, in_none) = (free(true, 1.2), free(false, 1.2), free(true, 1e-12));
+    // The forces of a density of 1e-12 kg/m³.
+    assert_within!((&left_out - &in_none).amax(), 1e-9);
+    assert!((&felt - &left_out).amax() > 0.1, "{felt}");
 }
 
 /// Torques overcome the friction of drives that move as commanded, and of no other: `F = f tanh(ṡ* / 0.02 rad/s)`.

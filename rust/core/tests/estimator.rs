@@ -215,6 +215,37 @@ fn with_late_commands_it_is_the_state_in_which_they_act() {
     }
 }
 
+/// Torques act two and a half ticks late, thrust rates five: the estimate is the state within the tick in which the torques
+/// begin to act, under those of the tick before until then; a step has the mean of the torques that act in it.
+#[test]
+fn with_a_part_of_a_tick_it_is_a_state_within_one() {
+    const TORQUE: usize = 2;
+    const THRUST: usize = 5;
+    let latency = LatencyConfig { torque: 0.025, thrust: 0.05 };
+    let config = flight(EstimatorConfig { latency, ..EstimatorConfig::default() });
+    let (mut estimator, mut world) = (estimator(&config), world(&config));
+    let (mut sent, mut found): (Vec<Command>, Vec<Measurement>) = (Vec::new(), Vec::new());
+    for tick in 0..20 {
+        world.observe(&WIND);
+        let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+        found.push(estimator.update(state, thrust));
+        sent.push(world.controller.command().clone());
+        estimator.command(&sent[tick], &Vector6::zeros());
+        let before = |ticks: usize| &sent[tick.saturating_sub(ticks)];
+        let (first, then) = (&before(TORQUE + 1).joint_torque, &before(TORQUE).joint_torque);
+        let rate = before(THRUST).thrust_rate.as_slice();
+        let mut within = world.plant.clone();
+        within.advance(first.as_slice(), rate, &WIND, 0.5 * STEP);
+        if tick > TORQUE {
+            let truth = reading(within.state(), within.jets().thrust());
+            assert_within!(distance(&found[tick - TORQUE], &truth), 1e-9, because "three steps of the same equations in another order", "tick {tick}");
+        }
+        let mean = 0.5 * (first + then);
+        world.plant.advance(mean.as_slice(), rate, &WIND, STEP);
+        world.tick += 1;
+    }
+}
+
 /// Ticks that come late are as long as they are: commands act, and joints move, for all of that time.
 #[test]
 fn a_longer_tick_is_predicted_as_long_as_it_is() {

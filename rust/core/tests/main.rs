@@ -16,6 +16,7 @@ mod joints;
 mod latency;
 mod linalg;
 mod link_forces;
+mod momentum;
 mod mpc;
 mod network;
 mod nonlinear;

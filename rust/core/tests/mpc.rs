@@ -573,6 +573,40 @@ fn a_given_future_is_followed_as_that_of_the_mission() {
     assert!(difference > 1.0, "the future made no difference: {difference} N/s");
 }
 
+/// A plan towards set-points that turn is the same, seen from the robot, whatever its heading is.
+#[test]
+fn a_plan_turns_with_the_heading() {
+    let config = experiment("test2_mpc");
+    let robot = load_robot(&config.robot).unwrap();
+    let start = config.simulator.initial.state();
+    let plan = |heading: f64, acceleration: f64| {
+        let turn = exp_so3(&(Vector3::z() * heading));
+        let mut state = start.clone();
+        state.base.rotation = turn * start.base.rotation;
+        state.base.position = turn * start.base.position;
+        let mut controller = Running::new(config.controller(robot.clone()).unwrap());
+        let sample = at(0.0, &state, &config.simulator.initial.thrust);
+        controller.controller.start(&sample).unwrap();
+        let com = controller.terms().kinematics.com;
+        let now = Setpoint::at_rest(com, state.base.rotation);
+        let angular = Setpoint { angular_acceleration_b: Vector3::new(0.3, 0.5, 0.2) * acceleration, ..now };
+        let setpoints: Vec<_> = (1..80).map(|after| (0.01 * f64::from(after), angular)).collect();
+        let preview = Preview { setpoints: &setpoints, ..Preview::default() };
+        let given = Given { setpoint: Some(&now), preview, ..Given::default() };
+        let command = controller.tick_with(&sample, &given);
+        assert_eq!(command.modes, Modes::default());
+        (command.thrust_rate.clone(), command.joint_velocity.clone())
+    };
+    let apart = |one: &(DVector<f64>, DVector<f64>), other: &(DVector<f64>, DVector<f64>)| {
+        (&one.0 - &other.0).amax() + (&one.1 - &other.1).amax()
+    };
+    let expected = plan(0.0, 1.0);
+    assert!(apart(&plan(0.0, 0.0), &expected) > 0.1);
+    // Weights are by axes of the world, alike at half a turn.
+    let error = apart(&plan(std::f64::consts::PI, 1.0), &expected);
+    assert_within!(error, 1e-6, because "rounding of the robot's rotation, through a QP of condition 1e8");
+}
+
 /// A plan has the change of the wind from the present one, as the forces in it; what is not valid it does not have.
 #[test]
 fn a_plan_expects_the_wind_ahead() {

@@ -125,6 +125,12 @@ impl ControllerState {
         &self.posture
     }
 
+    /// Height of the centre of mass at touch-down \[m\]; `−∞` where it is not known.
+    #[must_use]
+    pub fn touch_down(&self) -> f64 {
+        self.ground
+    }
+
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
     #[must_use]
     pub fn inertia_0_b(&self) -> &Matrix3<f64> {
