@@ -320,9 +320,10 @@ fn the_ground_is_where_the_height_says() {
     assert!((com - base).abs() > 0.01);
     assert_within!((controller.state().touch_down() - com).abs(), 1e-12);
     for tick in 1..4 {
-        let height = Some(2.5 - 1e-3 * f64::from(tick));
-        Measurement { time: 0.01 * f64::from(tick), height, ..first.clone() }.tick(&mut controller);
-        let above = controller.state().estimate().robot.state.base.position.z - height.unwrap();
+        let height = 2.5 - 1e-3 * f64::from(tick);
+        Measurement { time: 0.01 * f64::from(tick), height: Some(height), ..first.clone() }
+            .tick(&mut controller);
+        let above = controller.state().estimate().robot.state.base.position.z - height;
         assert_within!((controller.state().touch_down() - (above + com - base)).abs(), 1e-12, "{tick}");
     }
 }

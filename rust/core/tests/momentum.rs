@@ -28,7 +28,7 @@ fn lambda_of_the_thrusts_is_the_change_of_their_wrench() {
             let expected = (after - before) / (2.0 * STEP);
             let scale = found.amax();
             // Differences of the third order, of some rad/s, and the rounding of some hundred newtons.
-            assert_within!((&found - expected).amax(), 1e-7 * scale, "{name}");
+            assert_within!((found - expected).amax(), 1e-7 * scale, "{name}");
         }
     }
 }
