@@ -40,7 +40,7 @@ LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_f
 	--xla_cpu_parallel_codegen_split_count=1"
 
 # Folders of `make test`, and the others. Pinocchio, one of the independent implementations, needs 400 MB.
-CORE := tests/golden tests/parity tests/gradients
+CORE := tests/golden tests/parity tests/gradients tests/references
 PINOCCHIO := tests/parity/test_dynamics_pinocchio.py
 # Shipped files with everything that can be done with them: each once in `make test`; `JAX_PAIRS=` leaves out what JAX
 # can do, which takes half an hour.

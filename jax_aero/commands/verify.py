@@ -93,11 +93,12 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
                 flight = verify_flight(config, options.dynamics)
                 of_everything, everything = verify_everything()
                 rows += flight.rows + of_everything
-                sides += [section.sides for section in (*flight.sections, *everything.sections)]
+                flights = [flight.sections, *(of.sections for of in everything)]
+                sides += [section.sides for sections in flights for section in sections]
                 flown = Compared(flight.scenario, samples, flight.sections)
                 found = {
                     "compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s",
-                    "not reached": ["not examined"] if options.quick else unreached(flown, [everything]),
+                    "not reached": ["not examined"] if options.quick else unreached(flown, everything),
                 }
             else:
                 of_law, share = verify_law(config)
@@ -183,10 +184,11 @@ def _config(options: argparse.Namespace) -> dict[str, Any]:
 
 def table(rows: Sequence[Row]) -> str:
     """Return the rows as a Markdown table."""
-    head = f"| {'group':8} | {'quantity':26} | max abs  | max rel  | rounding | tolerance     | verdict   |"
-    rule = f"|{'-' * 10}|{'-' * 28}|---------:|---------:|---------:|---------------|-----------|"
+    head = f"| {'group':8} | {'quantity':26} | samples | max abs  | max rel  | rounding | tolerance     | verdict   |"
+    rule = f"|{'-' * 10}|{'-' * 28}|--------:|---------:|---------:|---------:|---------------|-----------|"
     lines = [
-        f"| {row.group:8} | {row.quantity:26} | {row.absolute:8.1e} | {row.relative:8.1e} | {row.rounding:8.1e} "
+        f"| {row.group:8} | {row.quantity:26} | {row.samples:7} "
+        f"| {row.absolute:8.1e} | {row.relative:8.1e} | {row.rounding:8.1e} "
         f"| {row.tolerance:5.0e} {'rel' if row.is_relative else 'abs'}     "
         f"| {'agrees   ' if row.agrees else 'DISAGREES'} |"
         for row in rows

@@ -7,8 +7,8 @@ of the crate's result when every input changes by one rounding. `jax_aero.comman
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -57,6 +57,8 @@ class Row:
     """Greatest change of the crate's results when every input changes by one rounding."""
     agrees: bool
     """Whether every difference is within the tolerance, or within rounding; false for NaN."""
+    samples: int
+    """Number of states or ticks."""
 
     @property
     def relative(self) -> float:
@@ -86,7 +88,17 @@ def compare(
     near = sliding_window_view(np.pad(rounding, reach), 2 * reach + 1).max(axis=1)
     allowed = np.maximum(tolerance * (max(scale, LEAST_SCALE) if relative else 1.0), ROUNDINGS * near)
     greatest, agrees = float(np.max(apart, initial=0.0)), bool(np.all(apart <= allowed))
-    return Row(group, quantity, tolerance, relative, greatest, scale, float(np.max(rounding, initial=0.0)), agrees)
+    rounding_max = float(np.max(rounding, initial=0.0))
+    return Row(group, quantity, tolerance, relative, greatest, scale, rounding_max, agrees, len(theirs))
+
+
+def merge(rows: Iterable[Row]) -> list[Row]:
+    """Return the worst row of each quantity, with the samples of all."""
+    of: dict[str, list[Row]] = {}
+    for row in rows:
+        of.setdefault(row.quantity, []).append(row)
+    worst = (max(found, key=lambda row: (not row.agrees, row.relative)) for found in of.values())
+    return [replace(row, samples=sum(each.samples for each in of[row.quantity])) for row in worst]
 
 
 def differences(ours: ArrayLike, theirs: ArrayLike) -> NDArray[np.float64]:

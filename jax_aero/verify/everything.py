@@ -1,7 +1,9 @@
 """What few flights reach, compared beside every flight, so that none depends on a number that is zero in it.
 
 ```text
-everything  a small robot with all that JAX has, none of whose numbers is zero: `configs/verify/everything.toml`
+everything  a small robot with all that JAX has, none of whose numbers is zero: `configs/verify/everything.toml`; and
+            with faults that exclude these, and limits that it reaches
+setpoint    a mission that is longer than any of the generator's limits
 wind        the velocity of the air, of every kind
 limit       whether a state just within and just beyond each limit of what is physically possible ends a flight
 ```
@@ -21,13 +23,17 @@ from numpy.typing import NDArray
 
 from jax_aero import rust
 from jax_aero.base import places
+from jax_aero.base.typed_config import scenario_config
+from jax_aero.body.robot import load_robot
 from jax_aero.config import WindConfig
+from jax_aero.control.law import setpoint
+from jax_aero.control.law.mission import commands
 from jax_aero.sim import outcome
 from jax_aero.sim.outcome import BY_THRUST, FLYING, LIMITS, lost_reason
 from jax_aero.sim.preparation import prepare
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State
-from jax_aero.verify import KERNEL_TOLERANCE, UNOPTIMISED, Row, compare, use_double_precision
+from jax_aero.verify import KERNEL_TOLERANCE, UNOPTIMISED, Row, compare, merge, use_double_precision
 from jax_aero.verify.flight import compare_ticks, fly_sections, join, replay_rounded
 from jax_aero.verify.reach import Compared
 
@@ -44,6 +50,29 @@ PLAIN: dict[str, Any] = {
 }
 """Changes with which the crate flies in a world that shows it any state."""
 
+OTHERWISE: dict[str, Any] = {
+    "simulator.initial.thrust": [40.0, 3.0, 40.0],
+    "simulator.sensors.thrust.bias": -6.0,
+    "simulator.fall.com_error": 0.25,
+    "disturbances.jets.failure": {"jet": "back_jet", "kind": "stuck", "time": 0.1},
+    "disturbances.joints": [{"joint": "stroke", "kind": "stuck", "start": 0.2}],
+    "controller.disturbance_observer.force_max": 2.0,
+    "controller.disturbance_observer.moment_max": 0.2,
+}
+"""Changes with which a jet and a joint are stuck, the observer is at its limits, an estimated thrust would be negative,
+and the flight ends far from its set-point."""
+
+MISSION: dict[str, Any] = {
+    "simulator.duration": 20.0,
+    "mission": {
+        "forward_turbo": [[0.1, 6.0]],
+        "pitch_up": [[12.0, 15.0]],
+        "up": [[16.0, 17.0]],
+        "yaw_left": [[17.0, 18.0]],
+    },
+}
+"""Changes with which the set-point's turbo and both of its pitch limits act."""
+
 STEADY = {"velocity": [3.0, -7.0, 1.0]}
 RISING = STEADY | {"ramp_start": 0.5, "ramp_end": 1.5}
 WINDS: dict[str, dict[str, Any]] = {
@@ -57,17 +86,42 @@ WINDS: dict[str, dict[str, Any]] = {
 
 
 @cache
-def verify_everything() -> tuple[list[Row], Compared]:
-    """Compare what few flights reach; return JAX's ticks of the flight too."""
-    config = use_double_precision(rust.load_config(FILE))
-    crate = rust.fly(config)
+def verify_everything() -> tuple[list[Row], list[Compared]]:
+    """Compare what few flights reach; return JAX's ticks of the flights too."""
+    rows, flown = list[Row](), list[Compared]()
+    for changes in ({}, OTHERWISE):
+        config = use_double_precision(rust.load_config(FILE, changes))
+        crate = rust.fly(config)
+        with jax.enable_x64(True):
+            scenario, start = prepare(config)
+            sections = list(fly_sections(scenario, start, crate, once=True))
+        twin = join(crate, sections)
+        rows += compare_ticks(crate, twin, replay_rounded(config, crate, twin), "all")[1]
+        flown.append(Compared(scenario, (), sections))
+    config = rust.load_config(FILE)
     with jax.enable_x64(True):
-        scenario, start = prepare(config)
-        sections = list(fly_sections(scenario, start, crate, once=True))
-        rows = [*verify_winds(), verify_limits(config)]
-    twin = join(crate, sections)
-    rows = compare_ticks(crate, twin, replay_rounded(config, crate, twin), "all")[1] + rows
-    return rows, Compared(scenario, (), sections)
+        others = [*verify_setpoint(rust.set_keys(config, MISSION)), *verify_winds(), verify_limits(config)]
+    return merge(rows) + others, flown
+
+
+def verify_setpoint(config: Mapping[str, Any]) -> list[Row]:
+    """Compare the set-points of a whole mission."""
+    typed = scenario_config(config)
+    law, robot = typed.controller, load_robot(typed.robot)
+    params = setpoint.setpoint_params(law.setpoint, robot.forward_axis, jnp.asarray(law.time_step))
+    begin, turn = np.array([0.1, -0.2, 0.8]), rust.rotation_from_wxyz([0.2, 0.1, -0.1, 1.0])
+
+    @partial(jax.jit, compiler_options=UNOPTIMISED)
+    def follow(times: NDArray[np.float64]) -> Any:
+        def tick(state: Any, time: Any) -> Any:
+            state, made = setpoint.update(params, commands(typed.mission), state, time)
+            return state, made._asdict() | {"raw_position": state.raw.position, "raw_rpy": state.raw.rpy}
+
+        return jax.lax.scan(tick, setpoint.start(params, jnp.asarray(begin), jnp.asarray(turn)), times)[1]
+
+    theirs = rust.setpoint_trajectory(config, begin, turn)
+    found = follow(law.time_step * np.arange(len(theirs["raw_rpy"])))
+    return [compare("setpoint", name, found[name], rows, KERNEL_TOLERANCE) for name, rows in theirs.items()]
 
 
 def verify_winds() -> list[Row]:

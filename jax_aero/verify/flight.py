@@ -5,8 +5,8 @@ tick    before each tick JAX's plant and what its controller is given are the cr
         controller, sensors, engines and commands on their way; what it measures, its command and the state to which
         that leads are compared with the crate's, until the memories of two controllers of the crate are apart of
         which one is given what differs by a rounding
-astray  the same of flights whose controller is given wrong joint velocities and thrusts, until they are lost: joints
-        reach their stops, torques their limits
+astray  the same of flights that are lost, as their controller has no fault detection and is given thrusts that are
+        wrong and joints that seem to run away: joints reach their stops, torques their limits
 flight  nothing but the start is the crate's; compared until two flights of the crate that differ by a rounding in what
         every tick is given are apart
 ```
@@ -46,6 +46,7 @@ from jax_aero.verify import (
     Row,
     compare,
     differences,
+    merge,
     round_numbers,
     round_rotation,
     round_state,
@@ -68,7 +69,10 @@ SECTION = 100
 """Ticks that one call of JAX flies at most, so that flights of every length are one program; none astray has more."""
 
 WRONG_SPEED, WRONG_THRUST = 3.0, (0.3, 1.5)
-"""Error of the measured joint velocities of a flight astray [rad/s, m/s], and ratio of its thrusts to the true ones."""
+"""Speed at which joints of a flight astray seem to run away [rad/s, m/s], and ratio of its thrusts to the true ones."""
+
+UNGUARDED = {"controller.fault_detection": {}, "controller.channels.jump": False}
+"""Changes with which the crate's controller believes what it is given."""
 
 
 Signals = Mapping[str, NDArray[np.float64]]
@@ -150,34 +154,33 @@ def verify_flight(config: Mapping[str, Any], backend: str = "tree") -> Verified:
 
 
 def verify_astray(config: Mapping[str, Any], scenario: Scenario, start: FlightState) -> tuple[list[Section], list[Row]]:
-    """Compare flights whose controller is given what is wrong; return JAX's ticks too."""
+    """Compare flights whose controller is given what is wrong, and believes it; return JAX's ticks too."""
     sections: list[Section] = []
-    rows: dict[str, Row] = {}
+    rows: list[Row] = []
+    config = rust.set_keys(config, UNGUARDED)
     for crate in fly_astray(config):
         with jax.enable_x64(True):
             flown = list(fly_sections(scenario, start, crate))
         twin = join(crate, flown)
         found = compare_ticks(crate, twin, replay_rounded(config, crate, twin), "astray")[1]
-        for row in found:
-            if not row.quantity.startswith("raw_"):  # not what its own sensors measure
-                rows[row.quantity] = max(
-                    rows.get(row.quantity, row), row, key=lambda row: (not row.agrees, row.relative)
-                )
+        rows += [row for row in found if not row.quantity.startswith("raw_")]  # not what its own sensors measure
         sections += flown[: -(-ticks_unguarded(crate) // SECTION)]
-    return sections, list(rows.values())
+    return sections, merge(rows)
 
 
 def fly_astray(config: Mapping[str, Any]) -> Iterator[FlightResult]:
-    """Yield flights of the crate whose controller is given wrong joint velocities and thrusts, until they are lost."""
+    """Yield flights of the crate whose controller is given wrong joints and thrusts, until they are lost."""
     for seed, ratio in itertools.product(range(2), WRONG_THRUST):
         flight = rust.Flight(config)
         wrong = WRONG_SPEED * np.random.default_rng(seed).choice(
             [-1.0, 1.0], np.size(flight.truth.state.joint_position)
         )
-        error = np.concatenate([np.zeros(6), np.sign(ratio - 1.0) * wrong])
+        speed = np.sign(ratio - 1.0) * wrong
         while not flight.has_ended and flight.tick < SECTION:
             given = flight.measurement
-            state = given.state._replace(velocity=np.asarray(given.state.velocity) + error)
+            velocity, joints = np.asarray(given.state.velocity), np.asarray(given.state.joint_position)
+            velocity, joints = velocity + np.append(np.zeros(6), speed), joints + given.time * speed
+            state = given.state._replace(velocity=velocity, joint_position=joints)
             flight.step(measurement=given._replace(state=state, thrust=ratio * np.asarray(given.thrust)))
         yield flight.result()
 

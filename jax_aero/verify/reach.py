@@ -87,7 +87,9 @@ class _Reach:
         # All parts have equal length, so that they are one program.
         parts = [[*samples, *samples][first : first + FEW] for first in range(0, len(samples), FEW)]
         expected = [random_ticks(scenario, part) for part in parts]
-        self.integral = max((np.abs(part["velocity_error_integral"]).max() for part in expected), default=0.0)
+        # A robot without joints has none.
+        integrals = [part.get("velocity_error_integral", INTEGRAL_LIMIT) for part in expected]
+        self.integral = max((np.abs(integral).max() for integral in integrals), default=0.0)
         # Neighbours are alike, so by the golden ratio each section is far from those before it.
         flown = sections[ASTRAY:]
         flown = [flown[place] for place in sorted(range(len(flown)), key=lambda place: 0.618034 * place % 1.0)]

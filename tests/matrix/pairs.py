@@ -276,9 +276,8 @@ def fly_jax(flights: Flights, name: str) -> None:
 @action("experiments", jax=True)
 def verify(flights: Flights, name: str) -> None:
     """Compare the crate with JAX in it."""
-    duration = f"simulator.duration={shortest(rust.load_config(name))}"
-    changes = ("--quick", "--set", duration, "--states", "3")
-    do("verify", "--config", name, *changes, "--out", flights.path(f"{name} verified", "verify"))
+    few = ("--set", f"simulator.duration={shortest(rust.load_config(name))}", "--states", "3")
+    do("verify", "--config", name, *few, "--out", flights.path(f"{name} verified", "verify"))
 
 
 @action("experiments")

@@ -41,6 +41,26 @@ def test_gymnasium_finds_no_fault():
     check_env(HoverEnv(Task(duration=0.2)), skip_render_check=True)
 
 
+def test_an_environment_multiplies_at_full_precision():
+    """A GPU would round the factors to ten bits; there a flight and its observation would differ from a processor's."""
+    env = FlightEnv(Task(duration=0.1))
+
+    def products(program):
+        for equation in program.eqns:
+            if equation.primitive.name == "dot_general":
+                yield equation.params["precision"]
+            for inner in jax.tree.leaves(equation.params, is_leaf=lambda x: hasattr(x, "eqns") or hasattr(x, "jaxpr")):
+                inner = getattr(inner, "jaxpr", inner)
+                if hasattr(inner, "eqns"):
+                    yield from products(inner)
+
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    found = list(products(jax.make_jaxpr(env.step)(state, jnp.zeros(env.action_size)).jaxpr))
+    found += products(jax.make_jaxpr(env.reset)(jax.random.key(0)).jaxpr)
+    assert len(found) > 50
+    assert set(found) == {(jax.lax.Precision.HIGHEST, jax.lax.Precision.HIGHEST)}
+
+
 def test_pictures_show_the_robot_where_it_is():
     hover = HoverEnv(Task(duration=1.0), render_mode="rgb_array")
     hover.reset(options={"wind": [0.0, 0.0, 0.0]})

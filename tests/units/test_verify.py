@@ -167,6 +167,23 @@ def test_networks_are_compared_in_double_precision():
     assert "precision" not in found["controller"]["aero"]
 
 
+@pytest.mark.parametrize("name", ["test2", "robot", "mk3_robot"])
+def test_flights_astray_are_lost_at_their_limits(name):
+    """Joints reach stops and torque rates limits, in ticks that are all compared."""
+    config = rust.set_keys(rust.load_config(name), flight.UNGUARDED)
+    robot = rust.Robot(config["robot"])
+    (lower, upper), law = np.transpose(robot.joint_stops), config["controller"]
+    at_stops, torques_at_limits, fast = 0, 0, (1.0 - 1e-9) * law["time_step"] * law["torque"]["torque_rate_max"]
+    for lost in flight.fly_astray(config):
+        assert lost.outcome in {"fell", "diverged"}
+        assert len(lost["time"]) - 1 <= flight.ticks_unguarded(lost)
+        beyond = (lost["joint_position"] < lower + 1e-6) | (lost["joint_position"] > upper - 1e-6)
+        at_stops += beyond.any(axis=0).sum()
+        torques_at_limits += np.sum(np.abs(np.diff(lost["joint_torque"], axis=0)) > fast)
+    assert at_stops > 20
+    assert torques_at_limits > 1
+
+
 @pytest.fixture
 def compared(monkeypatch):
     """Put made-up differences in place of comparisons: of the robot 0.1 of its tolerance, of others as given."""
@@ -189,7 +206,7 @@ def compared(monkeypatch):
     monkeypatch.setattr(reach, "unreached", lambda *_: ["fall.com_error"])
     monkeypatch.setattr(verify_ticks, "verify_ticks", ticks)
     monkeypatch.setattr(verify_ticks, "verify_held", lambda *_: [])
-    monkeypatch.setattr(everything, "verify_everything", lambda: ([], SimpleNamespace(sections=[])))
+    monkeypatch.setattr(everything, "verify_everything", lambda: ([], []))
     monkeypatch.setattr(lines, "unexecuted", lambda *_: ["control/qp.py: 8-9", "sim/wind.py:12: no"])
     monkeypatch.setattr(flight, "verify_flight", fly)
     monkeypatch.setattr(cli, "random_samples", lambda _, states, seed: ("random", states, seed))
@@ -203,7 +220,7 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert calls[0][1:] == (7, "tree", 3)
     assert calls[1:] == [("random", 7, 3)]
     printed = capsys.readouterr().out
-    row = "| {:8} | {:26} | {:8} | {:8} |  0.0e+00 | {}     | agrees    |".format
+    row = "| {:8} | {:26} |       1 | {:8} | {:8} |  0.0e+00 | {}     | agrees    |".format
     assert row("dynamics", "bias", " 1.0e-11", " 1.0e-11", "1e-10 rel") in printed
     assert row("flight", "wind", " 0.0e+00", " 0.0e+00", "1e-06 abs") in printed
     assert "compared: 99.8% of the ticks, the flight up to 12.34 s" in printed

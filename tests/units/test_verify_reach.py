@@ -12,11 +12,22 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.body import dynamics
-from jax_aero.control.law import torques
+from jax_aero.control.law import setpoint, torques
 from jax_aero.control.law.torques import Torques
-from jax_aero.sim import outcome, prepare
+from jax_aero.sim import jet_faults, outcome, prepare
+from jax_aero.sim.joint_faults import JointFaults
 from jax_aero.sim.scenario import Scenario
-from jax_aero.verify import everything, law, lines, random_samples, reach, ticks, verify_robots
+from jax_aero.verify import (
+    UNOPTIMISED,
+    everything,
+    flight,
+    law,
+    lines,
+    random_samples,
+    reach,
+    ticks,
+    verify_robots,
+)
 from jax_aero.verify.flight import compare_ticks, fly_sections, join, replay_rounded, verify_astray
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -122,6 +133,81 @@ def test_wrong_numbers_of_what_is_zero_in_most_flights_are_refused(flown):
     assert refused_of(flown, scenario, start) == []
     found = {name: refused_of(flown, twin, start) for name, twin in wrong.items()}
     assert all(found.values()), found
+
+
+@pytest.fixture(scope="module")
+def otherwise():
+    """The flight with other faults, at limits; a stuck jet's thrust and a stuck joint's place have a number each."""
+    right = jet_faults.limit_thrust, JointFaults.stuck
+
+    def limit_thrust(faults, state, *others):
+        thrust, rate, after = right[0](faults, state, *others)
+        return jnp.where(faults.fails & (after.left < 0.0), (1.0 + faults.decay) * thrust, thrust), rate, after
+
+    def stuck(faults, state, joints):
+        are, places = right[1](faults, state, joints)
+        return are, jnp.where(are, places + (1.0 - faults.share[0]), places)
+
+    config = rust.load_config(everything.FILE, everything.OTHERWISE)
+    crate = rust.fly(config)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jet_faults, "limit_thrust", limit_thrust)
+        patch.setattr(JointFaults, "stuck", stuck)
+        patch.setattr(flight, "_fly_once", jax.jit(flight.count_sides(flight._fly_ticks), compiler_options=UNOPTIMISED))
+        with jax.enable_x64(True):
+            yield config, crate, replay_rounded(config, crate, crate), *prepare(config)
+
+
+def test_wrong_faults_and_limits_are_refused(otherwise):
+    *_, scenario, start = otherwise
+    controller, plant, joints = scenario.controller, scenario.plant, scenario.plant.joint_faults
+    observer = controller.observer
+    limits = {"force_max": observer.moment_max, "moment_max": observer.force_max}
+
+    def of_plant(**parts) -> Scenario:
+        return replace(scenario, plant=replace(plant, **parts))
+
+    wrong = {
+        "thrust of a stuck jet": of_plant(jets=replace(plant.jets, decay=jnp.array(0.003))),
+        "place of a stuck joint": of_plant(joint_faults=replace(joints, share=jnp.array([0.999]))),
+        "limits of the observer": replace(
+            scenario, controller=replace(controller, observer=replace(observer, **limits))
+        ),
+        "greatest error": replace(scenario, fall=replace(scenario.fall, com_error=1.05 * scenario.fall.com_error)),
+    }
+
+    def refused(twin: Scenario) -> list[str]:
+        _, crate, rounded, *_ = otherwise
+        twin = join(crate, list(fly_sections(twin, start, crate, once=True)))
+        return [row.quantity for row in compare_ticks(crate, twin, rounded, "all")[1] if not row.agrees]
+
+    assert otherwise[1].outcome == "fell"
+    assert "CoM" in otherwise[1].lost_reason
+    assert otherwise[1]["measured_thrust"].min() == 0.0
+    assert refused(scenario) == []
+    found = {name: refused(twin) for name, twin in wrong.items()}
+    assert all(found.values()), found
+
+
+def test_wrong_limits_of_set_points_are_refused(monkeypatch):
+    config = rust.set_keys(rust.load_config(everything.FILE), everything.MISSION)
+
+    def refused() -> list[str]:
+        return [row.quantity for row in everything.verify_setpoint(config) if not row.agrees]
+
+    assert refused() == []
+    right = setpoint.setpoint_params
+    for change in ([1.01, 1.0], [1.0, 1.01]):
+
+        def wrong(*given, change=change):
+            params = right(*given)
+            return params._replace(nose_down_limits=params.nose_down_limits * jnp.array(change))
+
+        monkeypatch.setattr(setpoint, "setpoint_params", wrong)
+        assert "raw_rpy" in refused()
+    monkeypatch.setattr(setpoint, "setpoint_params", right)
+    monkeypatch.setattr(setpoint, "TURBO_BOOST", 1.003 * setpoint.TURBO_BOOST)
+    assert "raw_position" in refused()
 
 
 @pytest.mark.parametrize("criterion", outcome.LIMITS)
