@@ -5,7 +5,8 @@
     jax-aero verify --controller my_controller.toml    # another controller in the same flight
     jax-aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
     jax-aero verify --config test4                     # the network, in double precision
-    jax-aero verify --config robot                     # what the crate alone flies: its law
+    jax-aero verify --config robot                     # the recommended controller in the realistic simulation
+    jax-aero verify --config engine_out_mpc            # what JAX does not fly to the end: its law
     jax-aero verify --all --quick --set simulator.duration=1   # every shipped flight, and what none of them executes
 
 Prints a table, writes it, and exits with status 1 if anything disagrees. States and ticks are compared

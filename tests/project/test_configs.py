@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.sweep import spec
+from jax_aero.sweep.design import Design
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = sorted((ROOT / "configs").rglob("*.toml"))
@@ -73,3 +76,42 @@ def test_a_loss_that_is_found_without_a_descent_is_found_as_the_recommended_cont
 def test_a_sweep_of_realistic_sensors_has_the_realistic_sensors():
     added = table("sweeps/sensors_tests.toml")["set"]["simulator.sensors"]
     assert added == table("simulator/flight_sensors.toml")["sensors"]
+
+
+# --- faults are flown until they have met what the mission asks
+
+OF_HOVER = {"robot_unmeasured_healthy"}
+"""Sweeps that ask what is found in hover, not what is survived."""
+SWEEPS = [name for name in places.names("sweeps") if not spec.load(name).is_sampled and name not in OF_HOVER]
+
+
+def lasting(config):
+    """Whether a fault lasts to the end of the flight; a robot lands after an engine's stop, which ends its flight."""
+    disturbances = config.get("disturbances", {})
+    failure = disturbances.get("jets", {}).get("failure")
+    outages = [outage for outage in disturbances.get("outages", []) if "duration" not in outage]
+    return bool(disturbances.get("joints") or outages or (failure and failure["kind"] != "off"))
+
+
+def end_of_mission(config):
+    """When the last part of a mission in a line ends [s]; zero of a mission of other parts."""
+    parts = [part for parts in config["mission"].values() if isinstance(parts, list | tuple) for part in parts]
+    return max((end for part in parts if isinstance(part, list | tuple) for end in part), default=0.0)
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_flights_with_a_lasting_fault_go_on_to_the_end_of_the_mission(name):
+    """Those that end before have survived what they have not met."""
+    design = Design(spec.load(name))
+    for cell in range(len(design.cells)):
+        config = design.cell_config(cell)
+        if lasting(config):
+            assert config["simulator"]["duration"] >= end_of_mission(config), design.cells[cell]
+
+
+def test_a_short_flight_with_a_stuck_joint_is_found():
+    config = rust.load_config("robot", {"simulator.duration": 25.0})
+    stuck = [{"joint": "torso_pitch", "kind": "stuck", "start": 18.0}]
+    config = rust.set_keys(config, {"disturbances.joints": stuck})
+    assert lasting(config)
+    assert config["simulator"]["duration"] < end_of_mission(config) == 47.0
