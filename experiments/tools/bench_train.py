@@ -1,10 +1,11 @@
 """Measure what training takes: `taskset -c 0 python -m experiments.tools.bench_train`.
 
 A step of our loop with each network is measured in turns with NumPy's product of two matrices of 2048 × 2048 in single
-precision, whose rate is what the machine reaches at the same time; so is a tick of the environments, without restarts.
-Times are processor times of one core, in which other programs do not count. Prints all of it. The status is 1 if a
-network reaches a share of NumPy's rate more than a tenth below that of `docs/results/bench_train.json`, which `--store`
-replaces.
+precision, whose rate is what the machine reaches at the same time, and with the same step of PyTorch, where it is
+installed; so is a tick of the environments, without restarts. Times are processor times of one core, in which other
+programs do not count, though they empty its caches: each is the least of some turns. Prints all of it. The status is 1
+if a network reaches a share of NumPy's rate more than a tenth below that of `docs/results/bench_train.json`, which
+`--store` replaces.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import jax
@@ -41,6 +44,8 @@ SHARE, RATE = "share of NumPy's", "GFLOP/s"
 SLACK = 0.9
 PRODUCT = 2048
 """Rows and columns of NumPy's matrices, and rows of a batch."""
+PEER = "PyTorch, "
+"""Of the name of a network that PyTorch trains."""
 NETWORKS = {"10 × 1024": 10 * (1024,), "4 × 256": 4 * (256,), "4 × 128": 4 * (128,)}
 """Hidden layers by name; inputs and outputs are those of the paper's network, the first, which alone has dropout."""
 ROWS = 2 * 4826
@@ -53,10 +58,10 @@ ROBOTS = 64
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.tools.bench_train", description=__doc__)
-    parser.add_argument("--turns", type=count, default=5, help="number of runs of everything (default 5)")
+    parser.add_argument("--turns", type=count, default=15, help="number of runs of everything (default 15)")
     parser.add_argument("--store", action="store_true", help="store what is measured")
     given = parser.parse_args(arguments)
-    found = measure(networks() | environments(), given.turns)
+    found = measure(networks() | peers() | environments(), given.turns)
     print(listing(found))
     slower = [] if given.store else below(found)
     if given.store:
@@ -88,9 +93,49 @@ def weights(network: Network) -> int:
 def step_of(network: Network, settings: loop.Settings, rng: np.random.Generator) -> Callable[[], Any]:
     """Return an epoch of one batch."""
     sizes = network.layers[0].weight.shape[-1], network.scale.size
-    data = tuple(jnp.asarray(rng.normal(size=(PRODUCT, size)), jnp.float32) for size in sizes)
-    start = network.layers, adam_start(network.layers), data, jnp.zeros(sizes[0]), jnp.uint32(0), jnp.uint32(0)
-    return lambda: untyped.block_until_ready(loop._epoch(settings, network.activation, PRODUCT, *start))
+    x, y = (jnp.asarray(rng.normal(size=(PRODUCT, size)), jnp.float32) for size in sizes)
+    state, zero = loop._State(network.layers, adam_start(network.layers)), jnp.uint32(0)
+    given = state, (x, y, ()), jnp.zeros(sizes[0]), zero, zero
+    return lambda: untyped.block_until_ready(
+        loop._epoch(settings, loop.FORCE_AREAS, network.activation, PRODUCT, *given)
+    )
+
+
+def peers() -> dict[str, tuple[float, Callable[[], Any]]]:
+    """Return floating-point operations and the same steps of PyTorch by name; nothing where it is not installed."""
+    try:
+        import torch  # type: ignore[import-not-found,unused-ignore]
+    except ModuleNotFoundError:
+        return {}
+    torch.set_num_threads(1)
+    training, _ = config.read(places.CONFIGS / "training" / "paper.toml")
+    network = training.start(0)
+    inputs, outputs = network.layers[0].weight.shape[-1], network.scale.size
+    cases: dict[str, tuple[float, Callable[[], Any]]] = {}
+    for name, hidden in NETWORKS.items():
+        dropout = training.training.dropout if hidden == training.network.hidden else 0.0
+        sizes = (inputs, *hidden, outputs)
+        modules = []
+        for number, (start, end) in enumerate(pairwise(sizes)):
+            modules.append(torch.nn.Linear(start, end))
+            if number < len(hidden):
+                modules.append(torch.nn.ReLU())
+            if dropout and 0 < number < len(hidden):
+                modules.append(torch.nn.Dropout(dropout))
+        net = torch.nn.Sequential(*modules)
+        x, y = torch.randn(PRODUCT, inputs), torch.randn(PRODUCT, outputs)
+        step = partial(_torch_step, net, torch.optim.Adam(net.parameters(), lr=training.training.learning_rate), x, y)
+        numbers = sum(parameter.numel() for parameter in net.parameters() if parameter.ndim == 2)
+        cases[PEER + name] = 6.0 * PRODUCT * numbers, step
+    return cases
+
+
+def _torch_step(net: Any, adam: Any, x: Any, y: Any) -> float:
+    adam.zero_grad()
+    loss = ((net(x) - y) ** 2).sum(1).mean()
+    loss.backward()
+    adam.step()
+    return float(loss)
 
 
 def environments() -> dict[str, tuple[float, Callable[[], Any]]]:
@@ -117,7 +162,8 @@ def measure(cases: Mapping[str, tuple[float, Callable[[], Any]]], turns: int) ->
             if turn:  # the first one compiles
                 best[name] = min(best[name], time.process_time() - started)
     rates = {name: work / best[name] for name, (work, _) in cases.items()}
-    found = {name: {RATE: rates[name] / 1e9, SHARE: rates[name] / rates["NumPy"]} for name in ("NumPy", *NETWORKS)}
+    products = [name for name in cases if name.removeprefix(PEER) in ("NumPy", *NETWORKS)]
+    found = {name: {RATE: rates[name] / 1e9, SHARE: rates[name] / rates["NumPy"]} for name in products}
     found |= {name: {"ticks a second": rates[name]} for name in cases if name not in found}
     paper = next(iter(NETWORKS))
     training, _ = config.read(places.CONFIGS / "training" / "paper.toml")

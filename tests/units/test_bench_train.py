@@ -12,8 +12,8 @@ def test_a_step_of_the_loop_has_six_operations_per_weight_and_row(monkeypatch):
     cases = bench.networks()
     assert cases["NumPy"][0] == 2 * 4**3
     assert cases["2 × 3"][0] == 6 * 4 * (22 * 3 + 3 * 3 + 3 * 39)
-    layers, adam, loss = cases["2 × 3"][1]()
-    assert (layers[1].weight.shape, int(adam.count)) == ((1, 3, 3), 1)
+    state, loss = cases["2 × 3"][1]()
+    assert (state.layers[1].weight.shape, int(state.adam.count)) == ((1, 3, 3), 1)
     assert float(loss) > 0.0
 
 
@@ -27,7 +27,9 @@ def test_rates_are_those_of_the_fastest_run(monkeypatch):
 
     monkeypatch.setattr(bench.time, "process_time", lambda: clock[0])
     cases = {"NumPy": case(2e9, 0.1, 2.0, 1.0)} | {name: case(1e9, 0.1, 1.0, 1.5) for name in bench.NETWORKS}
-    found = bench.measure(cases | {"robots": case(64, 9.0, 0.5, 0.25)}, 2)
+    peer = {"PyTorch, 4 × 128": case(1e9, 0.1, 4.0, 2.0)}
+    found = bench.measure(cases | peer | {"robots": case(64, 9.0, 0.5, 0.25)}, 2)
+    assert found["PyTorch, 4 × 128"] == pytest.approx({"GFLOP/s": 0.5, "share of NumPy's": 0.25})
     assert found["4 × 128"] == pytest.approx({"GFLOP/s": 1.0, "share of NumPy's": 0.5})
     assert found["robots"] == {"ticks a second": 256.0}
     paper = found["the paper's network, all epochs"]
@@ -40,6 +42,7 @@ def test_a_network_below_its_stored_share_is_named(monkeypatch, tmp_path, capsys
     monkeypatch.setattr(kept, "FOLDER", tmp_path)
     monkeypatch.setattr(bench, "networks", dict)
     monkeypatch.setattr(bench, "environments", dict)
+    monkeypatch.setattr(bench, "peers", dict)
     kept.read.cache_clear()
     for found, words, status in ((shares, ["--store"], 0), (shares, [], 0), (slower, [], 1)):
         monkeypatch.setattr(bench, "measure", lambda *_, found=found: found)
