@@ -49,5 +49,11 @@ CONTROLLERS: Mapping[str, Controller] = {
         "numbers of the robot",
         "the realistic simulation, a robot",
     ),
+    "robot_ideal": Controller(
+        "recommended, ideal drives",
+        "the same without rotors, friction, engines that lag and delays (iRonCub-Mk3: `mk3_robot_ideal`)",
+        "ideal drives and engines, exact measurements",
+        "the paper's flights, comparisons in them",
+    ),
 }
 """By the name of their file."""

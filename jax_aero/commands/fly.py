@@ -32,18 +32,37 @@ def main(words: Sequence[str]) -> int:
 
     def work() -> None:
         changes = overrides.parse([*given.set, *([f"backend={given.backend}"] if given.backend else [])])
-        if given.controller:
-            changes["own_controller"] = study.own_controller(given.controller)
         study.check_name(given)
+        if given.named and len(given.controller) > 1:
+            raise Refused(f"--name is {given.named}, with {len(given.controller)} controllers; expected one controller")
         paths = [study.find("experiments", name) for name in names]
         command = ["jax-aero", "fly", *words]
-        options = {"named": given.named, "out": given.out, "overwrite": given.overwrite}
-        finished = [flight.run(path, changes, command=command, **options) for path in paths]
-        if given.row:
-            finished.append(_fly_row(given.row[0], given.row[1], changes, command=command, **options))
+        options = {"command": command, "out": given.out, "overwrite": given.overwrite}
+        finished = []
+        for controller in given.controller or [None]:
+            flown = changes | (controller_change(controller) if controller else {})
+            suffix = f"{overrides.folder_suffix(changes)}--{named(controller)}" if len(given.controller) > 1 else None
+            for path in paths:
+                name = path.stem + suffix if suffix else given.named
+                finished.append(flight.run(path, flown, named=name, **options))
+            if given.row:
+                name = f"{given.row[0]}--row_{given.row[1]}{suffix}" if suffix else given.named
+                finished.append(_fly_row(given.row[0], given.row[1], flown, named=name, **options))
         print(outcome_table(finished))
 
     return exit_status(work, interrupted="the flight under way left nothing behind")
+
+
+def controller_change(name: str) -> dict[str, Any]:
+    """Return the change of a configuration that flies a controller: FILE.py:NAME, or a file of `configs/control`."""
+    if ":" in name:
+        return {"own_controller": study.own_controller(name)}
+    return {"controller": {"base": str(study.find("control", name).resolve())}}
+
+
+def named(controller: str) -> str:
+    """Return the name of a controller in those of results: of its function or class, or of its file."""
+    return controller.rpartition(":")[2] if ":" in controller else Path(controller).stem
 
 
 def _fly_row(sweep: str, number: str, changes: Mapping[str, Any], **options: Any) -> dict[str, Any]:
@@ -69,7 +88,15 @@ def _parser() -> argparse.ArgumentParser:
     study.add_name(parser)
     row = parser.add_argument("--row", nargs=2, metavar=("SWEEP", "N"), help="one row of a sweep")
     arguments.complete_with(row, lambda: places.names("sweeps"))
-    parser.add_argument("--controller", metavar="FILE.py:NAME", help="a controller of your own: a function or class")
+    controller = parser.add_argument(
+        "--controller",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="another controller: FILE.py:NAME, a function or class of your own, or a file of configs/control; given "
+        "several times, each is flown",
+    )
+    arguments.complete_with(controller, lambda: places.names("control"))
     parser.add_argument("--backend", choices=sorted(MODULES), help="back end (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace an existing result")

@@ -128,7 +128,13 @@ def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
         ("test2_without_lambda_a", {"controller.lever_arm": "unrotated", "controller.axes_of": "chest"}),
         ("test2_without_torque_feedforward", {"controller.link_velocity": "shifted_twice"}),
         ("test2_without_torque_feedforward", {"controller.aero_feedback.momentum_rate": "moment"}),
-        ("test2", {"controller.torque.friction": {"torso": 1.5, "left_arm": 0.7, "right_leg": 2.0}}),
+        (
+            "test2",
+            {
+                "simulator.motors": {"friction": 1.0, "damping": 0.0, "inertia": 0.0},
+                "controller.torque.friction": {"torso": 1.5, "left_arm": 0.7, "right_leg": 2.0},
+            },
+        ),
     ],
 )
 def test_switches(name, overrides, agree):

@@ -280,10 +280,10 @@ def test_the_world_is_not_where_the_controller_estimates_it(monkeypatch, changes
 
 
 def test_a_controller_whose_model_has_rotors(fly_both):
-    """With an estimator, which contains them too; small ones, since the simulated robot has none."""
-    changes = {"controller.torque.rotor_inertia": 0.002, "simulator.duration": 0.3}
-    expected, _ = fly_both(rust.load_config("test2_sensors", changes))
-    without = rust.fly(rust.load_config("test2_sensors", {"simulator.duration": 0.3}))
+    """With an estimator, which contains them too."""
+    drives = {"simulator.motors": {"friction": 0.0, "damping": 0.0, "inertia": 0.002}, "simulator.duration": 0.3}
+    expected, _ = fly_both(rust.load_config("test2_sensors", {**drives, "controller.torque.rotor_inertia": 0.002}))
+    without = rust.fly(rust.load_config("test2_sensors", drives))
     assert np.abs(expected["joint_torque"] - without["joint_torque"]).max() > 1e-3
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from jax_aero import __main__ as commands
 from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.base.places import CONFIGS, HOME, ROBOT
@@ -300,6 +301,18 @@ def test_a_flight_s_file_names_a_controller_of_ones_own(own, tmp_path):
     digest = rust.config_digest(config)
     (tmp_path / "own.py").write_text(OWN.replace("0.03", "0.04"), encoding="utf-8")
     assert rust.config_digest(config) != digest
+
+
+def test_one_command_flies_a_controller_of_ones_own_beside_a_shipped_one(own, tmp_path, capsys):
+    own("Same")  # writes the file
+    words = ["fly", "no_wind", "--set", "simulator.duration=0.05", "--out", str(tmp_path / "out")]
+    mine = ["--controller", f"{tmp_path / 'own.py'}:Same"]
+    assert commands.main([*words, *mine, "--controller", "robot_ideal"]) == 0
+    assert len([line for line in capsys.readouterr().out.splitlines() if "completed" in line]) == 2
+    assert commands.main([*words, "--controller", "robot"]) == 2
+    assert "controller.torque.rotor_inertia is 0.05; expected 0" in capsys.readouterr().err
+    assert commands.main([*words, *mine, "--controller", "robot_ideal", "--name", "one"]) == 2
+    assert "expected one controller" in capsys.readouterr().err
 
 
 def test_a_controller_of_ones_own_is_refused_by_name_and_line(own):

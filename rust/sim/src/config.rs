@@ -67,6 +67,37 @@ impl ScenarioConfig {
         self.simulator.n_ticks(self.controller.law.time_step)
     }
 
+    /// Checks that the simulated robot has the drives of the controller's model: joints whose torques contain the inertia
+    /// of rotors, or compensate friction, that the robot lacks are not stabilised.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the part of the controller's model that the robot lacks.
+    pub(crate) fn check_drives(&self) -> Result<(), BuildError> {
+        const IDEAL: &str = "; for ideal drives the recommended controllers are control/robot_ideal.toml, mk3_robot_ideal.toml";
+        let (torque, motors) = (&self.controller.law.torque, self.simulator.motors.as_ref());
+        if motors.is_none_or(|motors| motors.inertia == 0.0) {
+            let expected =
+                format!("0, as simulator.motors.inertia: the simulated robot has no rotors{IDEAL}");
+            check(
+                "controller.torque.rotor_inertia",
+                torque.rotor_inertia,
+                |inertia| inertia == 0.0,
+                &expected,
+            )?;
+        }
+        let frictions = torque.friction.iter().flatten().filter(|_| motors.is_none());
+        for (group, &friction) in frictions {
+            let expected = format!("0: the simulated robot has no drives, simulator.motors{IDEAL}");
+            check(
+                &format!("controller.torque.friction.{group}"),
+                friction,
+                |friction| friction == 0.0,
+                &expected,
+            )?;
+        }
+        Ok(())
+    }
+
     /// Builds the controller of this flight for `robot`, with the errors that `disturbances` gives its models.
     ///
     /// # Errors
@@ -98,6 +129,7 @@ impl ScenarioConfig {
 pub fn onboard(table: Value, origin: &str) -> Result<(RobotModel, ControllerConfig, Controller), BuildError> {
     if table.get("simulator").is_some() {
         let config: ScenarioConfig = from_value(table, origin)?;
+        config.check_drives()?;
         let robot = load_robot(&config.robot)?;
         return Ok((robot.clone(), config.controller.law.clone(), config.controller(robot)?));
     }

@@ -59,6 +59,12 @@ impl Scenario {
     /// # Errors
     /// [`BuildError`] naming the invalid part of the configuration.
     pub fn with_robot(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
+        config.check_drives()?;
+        Self::build(config, robot)
+    }
+
+    /// Builds it, whether or not the robot has the drives of the controller's model: in another world they are that world's.
+    fn build(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let time_step = config.controller.law.time_step;
         let disturbances = &config.disturbances;
         let torque_steps = config.controller.law.torque.steps;
@@ -83,8 +89,9 @@ impl Scenario {
     /// # Errors
     /// [`BuildError`] naming the invalid part of the configuration, or one that no other world simulates.
     pub fn in_world(config: &ScenarioConfig, world: Box<dyn World>) -> Result<Self, BuildError> {
+        config.check_drives()?;
         let robot = load_robot(&config.robot)?;
-        let scenario = Self::with_robot(&of_world(config, &robot)?, robot)?;
+        let scenario = Self::build(&of_world(config, &robot)?, robot)?;
         Ok(Self { world: Some(world), ..scenario })
     }
 
@@ -94,6 +101,7 @@ impl Scenario {
     /// # Errors
     /// [`BuildError`] naming the invalid part.
     pub fn check(config: &ScenarioConfig) -> Result<Vec<String>, BuildError> {
+        config.check_drives()?;
         let mut of_this_backend = ScenarioConfig { own_controller: None, ..config.clone() };
         match config.backend {
             Backend::Rust => {}
@@ -103,7 +111,8 @@ impl Scenario {
                 of_this_backend = of_world(config, &load_robot(&config.robot)?)?;
             }
         }
-        Self::new(&of_this_backend)?.all_warnings(config)
+        let robot = load_robot(&of_this_backend.robot)?;
+        Self::build(&of_this_backend, robot)?.all_warnings(config)
     }
 
     /// What can be flown but is probably not meant: key, value and what was expected.

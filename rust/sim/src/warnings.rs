@@ -1,9 +1,11 @@
 //! What of a configuration can be flown but is probably not meant: key, value and what was expected.
 
 use crate::config::ScenarioConfig;
+use crate::jets::JetsConfig;
 use crate::outcome::SPEED;
 use crate::wind::{Wind, WindConfig};
 use flight_core::error::BuildError;
+use flight_core::jets::JetDynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::{JointKind, RobotModel};
 
@@ -15,8 +17,13 @@ const ROUNDING_OF_JOINTS: f64 = 1e-6;
 
 /// Warnings of a configuration whose parts have been checked.
 pub(crate) fn warnings(config: &ScenarioConfig, robot: &RobotModel) -> Result<Vec<String>, BuildError> {
-    let found =
-        [too_late(config), without_effect(config), outside_stops(config, robot), below_ground(config, robot)];
+    let found = [
+        too_late(config),
+        without_effect(config),
+        outside_stops(config, robot),
+        below_ground(config, robot),
+        lacking(config),
+    ];
     Ok(found.into_iter().flatten().chain(never_met(config)?).chain(too_strong(config)?).collect())
 }
 
@@ -83,6 +90,29 @@ fn below_ground(config: &ScenarioConfig, robot: &RobotModel) -> Vec<String> {
         format!("{place}; expected 0 or more: the ground is at 0")
     };
     lowest.filter(|(_, height)| *height < -ROUNDING_OF_HEIGHTS).map(warning).into_iter().collect()
+}
+
+/// What the controller's model has and the simulated robot lacks, but is flown without loss: friction of drives that
+/// have rotors, engines that lag. What is not flown is [refused](ScenarioConfig::check_drives).
+fn lacking(config: &ScenarioConfig) -> Vec<String> {
+    let (law, simulator) = (&config.controller.law, &config.simulator);
+    let dry =
+        simulator.motors.as_ref().filter(|motors| motors.friction == 0.0 && motors.friction_of.is_empty());
+    let frictions =
+        law.torque.friction.iter().flatten().filter(|(_, friction)| dry.is_some() && **friction > 0.0);
+    let friction = frictions.map(|(group, friction)| {
+        format!(
+            "controller.torque.friction.{group} is {friction} N m; expected 0, as the simulated drives have no friction \
+             (simulator.motors.friction)"
+        )
+    });
+    let lags = matches!(law.jet_dynamics, JetDynamics::Throttled)
+        && matches!(simulator.jets, JetsConfig::Ideal { .. });
+    let engines = lags.then(|| {
+        "controller.jet_dynamics is throttled; expected ideal, as the simulated engines are (simulator.jets.dynamics)"
+            .to_owned()
+    });
+    friction.chain(engines).collect()
 }
 
 /// A recorded wind of another time than the flight's, which is flown in its first or last sample.

@@ -9,7 +9,7 @@ use flight_io::{AeroConfig, Schema, from_value};
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
 use flight_sim::{
-    Backend, Scenario, ScenarioConfig, SimulatorConfig, WindConfig, load_flyable, load_scenario,
+    Backend, Scenario, ScenarioConfig, SimulatorConfig, WindConfig, load_flyable, onboard, load_scenario,
 };
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -412,6 +412,46 @@ fn what_is_probably_not_meant_is_warned_of() {
     }
 }
 
+/// A controller whose torques contain rotors or friction that the simulated robot lacks is refused, by every entry: with
+/// 0.01 kg m² of them it falls in 2 s. What it survives is warned of.
+#[test]
+fn drives_and_engines_that_the_robot_lacks_are_refused_or_warned_of() {
+    let load = |name: &str, changes: &[(&str, Value)]| {
+        let changes: Vec<_> = changes.iter().map(|(key, value)| ((*key).to_owned(), value.clone())).collect();
+        load_flyable(&configs("experiments").join(format!("{name}.toml")), None, &changes)
+    };
+    let controller = |name: &str| json!({ "base": configs("control").join(format!("{name}.toml")) });
+    let rotors = ("controller.torque.rotor_inertia", json!(0.01));
+    let friction = ("controller.torque.friction", json!({ "torso": 1.0 }));
+    for (changes, key) in [
+        (vec![("controller", controller("robot"))], "controller.torque.rotor_inertia is 0.05"),
+        (vec![rotors.clone()], "controller.torque.rotor_inertia is 0.01"),
+        (vec![friction.clone()], "controller.torque.friction.torso is 1"),
+    ] {
+        let message = load("test2", &changes).unwrap_err().to_string();
+        assert!(message.contains(key) && message.contains("control/robot_ideal.toml"), "{message}");
+    }
+    let message = load("robot", &[("simulator.motors.inertia", json!(0.0))]).unwrap_err().to_string();
+    assert!(message.contains("controller.torque.rotor_inertia is 0.05"), "{message}");
+    let mut config = experiment("test2");
+    config.controller.law.torque.rotor_inertia = 0.01;
+    assert!(Scenario::new(&config).is_err());
+    assert!(onboard(json!(config), "here").is_err());
+
+    for (name, ideal) in [("test2", "robot_ideal"), ("mk3_test2", "mk3_robot_ideal")] {
+        assert_eq!(load(name, &[("controller", controller(ideal))]).unwrap().1, [""; 0]);
+    }
+    let found = load("robot", &[("simulator.motors.friction", json!(0.0))]).unwrap().1;
+    assert_eq!(found.len(), 5, "{found:?}"); // groups of joints
+    assert!(
+        found.iter().all(|words| words.contains("is 1 N m; expected 0, as the simulated drives")),
+        "{found:?}"
+    );
+    let found = load("robot", &[("simulator.jets", json!({ "dynamics": "ideal" }))]).unwrap().1;
+    let [only] = found.as_slice() else { panic!("{found:?}") };
+    assert!(only.starts_with("controller.jet_dynamics is throttled; expected ideal"), "{only}");
+}
+
 /// A start from which commands turn the set-point into its limits at once is warned of, of every engine; a recording
 /// has no limits. Facing +x, this robot leans backward with a positive pitch of its base.
 #[test]
@@ -497,6 +537,7 @@ fn what_the_schema_refuses_cannot_be_built() {
     let mut own = json!(experiment("test2_observer"));
     own["controller"]["wind_observer"] = true.into();
     own["controller"]["torque"]["friction"] = json!({ "torso": 1.0 });
+    own["simulator"]["motors"] = json!({ "friction": 1.0, "damping": 0.5, "inertia": 0.05 });
     own["simulator"]["fuel"] =
         json!({ "body": "chest", "mass": 1.0, "position": [0.0, 0.0, 0.0], "idle": 0.0, "by_thrust": 1e-5 });
     own["simulator"]["sensors"] =
