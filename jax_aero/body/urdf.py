@@ -42,6 +42,8 @@ class Joint:
     moves: bool
     """Whether the joint has a degree of freedom."""
     is_prismatic: bool
+    axis: Vector | None
+    """Direction in which it moves or about which it turns, in axes of the child; `None` for one that is fixed."""
     limits: tuple[float, float] | None
     """Range of positions [rad]; `None` for a continuous joint, and where the URDF states none."""
     effort: float

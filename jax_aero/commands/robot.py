@@ -69,6 +69,7 @@ def _parser() -> Parser:
     add("--jet", dest="jets", required=True, type=thruster, metavar=THRUSTER, help="greatest thrust [N]", **lists)
     add("--foot", dest="feet", metavar="FRAME", help="sole frame, z up", **lists)
     add("--hold", dest="held", metavar="JOINT", help="a joint that stays as near to zero as it can", **lists)
+    add("--hold-mimics", action="store_true", help="hold every joint that mimics another")
     add("--posture", dest="posture_deg", type=angle, metavar="JOINT=DEG", help="where the trim starts", **lists)
     add("--forward", choices=["x", "y", "-x", "-y"], default="x", help="forward axis of the base")
     add("--controller", choices=CONTROLLERS, default=CONTROLLERS[0], help="of configs/control, scaled to the robot")
@@ -109,6 +110,7 @@ def import_robot(
     forward: str = "x",
     controller: str = CONTROLLERS[0],
     fly_mission: bool = False,
+    hold_mimics: bool = False,
     skip_meshes: bool = False,
     overwrite: bool = False,
 ) -> ImportResult:
@@ -126,11 +128,13 @@ def import_robot(
         )
     tree = skeleton.Tree(listing)
     tree.check_frames([jet.frame for jet in jets], feet, held)
+    held = tree.with_mimics(held, hold_mimics=hold_mimics)
     joints = tree.moving(held)
     notes = masses.require(tree, joints)
     boxes = shapes.boxes(listing, urdf.parent, skip_meshes=skip_meshes)
     for warning in (
         *notes,
+        *tree.spinning(jets, held),
         *skeleton.guessed(joints),
         *posture_doubts(joints, posture_deg),
         *masses.doubts(tree, boxes),

@@ -30,7 +30,7 @@ def require(tree: Tree, moving: Sequence[Joint]) -> list[str]:
     def has_mass(link: str) -> bool:
         return any(tree.inertials[part].mass != 0.0 for part in tree.rigid(link, names) if part in tree.inertials)
 
-    notes = []
+    notes, idle = [], []
     for joint in moving:
         if has_mass(joint.child):
             continue
@@ -38,10 +38,11 @@ def require(tree: Tree, moving: Sequence[Joint]) -> list[str]:
         if any(has_mass(other.child) for other in behind):
             notes.append(f"link `{joint.child}` has no mass: it moves with what joint `{behind[0].name}` carries")
         else:
-            raise Refused(
-                f"link `{joint.child}` has no mass, but joint `{joint.name}` moves it; expected an <inertial>, or that "
-                f"the joint is held: --hold {joint.name}"
-            )
+            idle.append(joint)
+    if idle:
+        moved = ", ".join(f"link `{joint.child}` has no mass, but joint `{joint.name}` moves it" for joint in idle)
+        held = " ".join(f"--hold {joint.name}" for joint in idle)
+        raise Refused(f"{moved}; expected an <inertial>, or that the joint is held: {held}")
     if not has_mass(tree.base):
         base = tree.rigid(tree.base, names)
         ways = [f"--hold {joint.name}" for joint in moving if joint.parent in base]

@@ -28,6 +28,9 @@ SMALLEST_LINK = 0.1
 PLACEHOLDER = 1e4
 """Effort or velocity from which on it is a placeholder, as exporters write for an unknown value."""
 
+ALONG = 0.99
+"""Cosine of the angle between two axes from which they are the same."""
+
 
 @dataclass(frozen=True)
 class Thruster:
@@ -39,6 +42,11 @@ class Thruster:
     """Greatest thrust [N]."""
     torque_to_thrust: float = 0.0
     """Moment on the robot about the axis per thrust [m]."""
+
+
+def _quoted(kind: str, names: Sequence[str]) -> str:
+    """Return names with their kind."""
+    return f"{kind}{'' if len(names) == 1 else 's'} {', '.join(f'`{name}`' for name in names)}"
 
 
 class Tree:
@@ -57,10 +65,15 @@ class Tree:
     def check_frames(self, jets: Sequence[str], feet: Sequence[str], held: Sequence[str]) -> None:
         """Refuse options that name no link or joint of the URDF."""
         joints = [joint.name for joint in self.joints]
+        refused = []
         for option, names, known in (("jet", jets, self.links), ("foot", feet, self.links), ("hold", held, joints)):
-            if unknown := [name for name in names if name not in known]:
-                kind = "joint" if option == "hold" else "link"
-                raise Refused(f"--{option}: `{unknown[0]}` is no {kind} of the URDF{did_you_mean(unknown[0], known)}")
+            kind = "joint" if option == "hold" else "link"
+            unknown = [
+                f"`{name}` is no {kind} of the URDF{did_you_mean(name, known)}" for name in names if name not in known
+            ]
+            refused += [f"--{option}: {', '.join(unknown)}"] if unknown else []
+        if refused:
+            raise Refused("; ".join(refused))
 
     def child_joints(self, link: str) -> list[Joint]:
         """Return the joints whose parent is this link."""
@@ -94,8 +107,24 @@ class Tree:
                 waiting += self.child_joints(joint.child)[::-1]
         return found
 
+    def with_mimics(self, held: Sequence[str], *, hold_mimics: bool) -> list[str]:
+        """Return the held joints and, with `hold_mimics`, those that mimic one that moves, which are refused else."""
+        mimics = [joint for joint in self.joints if joint.moves and joint.mimics is not None]
+        mimics = [joint for joint in mimics if joint.name not in held and not self._follows(joint, held)]
+        if not mimics or hold_mimics:
+            return [*held, *(joint.name for joint in mimics)]
+        ways = " ".join(f"--hold {joint.name}" for joint in mimics)
+        leaders = {joint.mimics: [other.name for other in mimics if other.mimics == joint.mimics] for joint in mimics}
+        named = [
+            f"{_quoted('joint', names)} {'is a mimic' if len(names) == 1 else 'are mimics'} of `{leader}`"
+            for leader, names in leaders.items()
+        ]
+        expected = f"joints that move on their own: --hold-mimics locks all of these, as does {ways}"
+        both = " ".join(f"--hold {leader}" for leader in leaders)
+        raise Refused(f"{', '.join(named)}; expected {expected}; {both} locks what is mimicked too")
+
     def _follows(self, joint: Joint, held: Sequence[str]) -> bool:
-        """Return whether a joint mimics one that is held, so that it is held as well; refuse one that would move."""
+        """Return whether a joint mimics one that is held, so that it is held as well."""
         leader: Joint | None = joint
         for _ in self.joints:
             if leader is None or not leader.moves or leader.name in held:
@@ -104,12 +133,25 @@ class Tree:
                 break
             name = leader.mimics
             leader = next((other for other in self.joints if other.name == name), None)
-        if joint.mimics is None:
-            return False
-        raise Refused(
-            f"joint `{joint.name}` is a mimic of `{joint.mimics}`; expected one that moves on its own: "
-            f"--hold {joint.name} locks it, --hold {joint.mimics} locks both"
-        )
+        return False
+
+    def spinning(self, jets: Sequence[Thruster], held: Sequence[str]) -> list[str]:
+        """Return a warning of joints without limits that turn jets about their own axes, as rotors spin."""
+        found = []
+        for joint in self.moving(held):
+            if joint.axis is None or joint.limits is not None or joint.is_prismatic:
+                continue
+            part = self.rigid_part(joint.child)
+            axes = [part[jet.frame].rotation @ AXES[jet.axis] for jet in jets if jet.frame in part]
+            if any(abs(joint.axis @ axis) > ALONG for axis in axes):
+                found.append(joint.name)
+        if not found:
+            return []
+        turn = "turns a jet about its axis" if len(found) == 1 else "turn jets about their axes"
+        ways = " ".join(f"--hold {name}" for name in found)
+        return [
+            f"{_quoted('joint', found)} {turn} without limits, as rotors spin: expected {ways}; a rotor's moment is the last part of --jet"
+        ]
 
     def rigid(self, link: str, moving: Collection[str]) -> list[str]:
         """Return a link and those below it that no moving joint separates from it."""

@@ -617,11 +617,109 @@ def test_a_mimic_joint_is_held_or_follows_a_held_one(leader, held, tmp_path):
     (tmp_path / "r.urdf").write_text((ROBOTS / "sparrow.urdf").read_text().replace("</robot>", mimic))
     tree = skeleton.Tree(read_urdf(tmp_path / "r.urdf"))
     if {leader, "toe"}.isdisjoint(held):
-        with pytest.raises(Refused, match=r"`toe` is a mimic of `waist`.* --hold toe"):
-            tree.chains(held)
-        return
+        with pytest.raises(Refused, match=r"`toe` is a mimic of `waist`.* --hold toe;"):
+            tree.with_mimics(held, hold_mimics=False)
+        held = tree.with_mimics(held, hold_mimics=True)
+        assert held == ["neck", "toe"]
+    assert tree.with_mimics(held, hold_mimics=False) == held
     moving = {joint.name for chain in tree.chains(held) for joint in chain}
     assert moving == {"waist", "l_shoulder", "r_shoulder", "l_hip", "r_hip"}
+
+
+SMALL = '<inertial><mass value="0.1"/><inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial>'
+
+
+def fingers(folder, leaders):
+    """A raft with fingers that follow, as pairs of joint and leader; the first of a chain moves alone."""
+    parts = ""
+    for name, leader in leaders.items():
+        mimic = f'<mimic joint="{leader}"/>' if leader else ""
+        ends = f'<parent link="keel"/><child link="{name}"/>'
+        parts += f'<link name="{name}">{SMALL}</link><joint name="{name}" type="revolute">{ends}{LIMIT}{mimic}</joint>'
+    return raft(folder, ("</robot>", f"{parts}</robot>"))
+
+
+@pytest.mark.parametrize(
+    ("leaders", "named"),
+    [
+        ({"a": None, "b": "a", "c": "a"}, "joints `b`, `c` are mimics of `a`;"),
+        ({"a": None, "b": "a", "c": "b"}, "joint `b` is a mimic of `a`, joint `c` is a mimic of `b`;"),
+        ({"a": None, "b": "a", "x": None, "y": "x"}, "joint `b` is a mimic of `a`, joint `y` is a mimic of `x`;"),
+        ({"b": "c", "c": "b"}, "joint `b` is a mimic of `c`, joint `c` is a mimic of `b`;"),
+    ],
+)
+@pytest.mark.usefixtures("unflown")
+def test_every_mimic_joint_is_named_at_once_and_held_by_one_option(leaders, named, tmp_path):
+    """And by the options that the refusal states."""
+    urdf = fingers(tmp_path, leaders)
+    with pytest.raises(Refused, match=f"^{named}") as refused:
+        imported(urdf, tmp_path / "out")
+    ways = str(refused.value).partition("as does ")[2].partition(";")[0].split("--hold ")[1:]
+    for number, options in enumerate(({"hold_mimics": True}, {"held": [way.strip() for way in ways]})):
+        _, result = imported(urdf, tmp_path / f"out{number}", **options)
+        table = tomllib.loads((result.folder / "robot.toml").read_text())
+        assert sorted(table["locked"]) == sorted(name for name, leader in leaders.items() if leader)
+    with pytest.raises(ValueError, match="a mimic of") as refused:
+        rust.Robot(unlocked(result.folder / "robot.toml"))
+    if "a" in leaders:  # the crate names all too, unless they follow each other in a circle
+        assert all(f"`{name}`" in str(refused.value) for name, leader in leaders.items() if leader)
+
+
+def unlocked(path):
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("locked")]
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.usefixtures("unflown")
+def test_what_is_missing_is_named_at_once(tmp_path):
+    """Meshes, links and joints of options, and joints that move no mass."""
+    visuals = "".join(f'<visual><geometry><mesh filename="{mesh}.stl"/></geometry></visual>' for mesh in "abc")
+    urdf = raft(tmp_path, ('<link name="keel">', f'<link name="keel">{visuals}'))
+    more = r"link `keel`: mesh a.stl: .*; --skip-meshes .*; the same for 2 more: b.stl of link `keel`, c.stl of link "
+    with pytest.raises(Refused, match=more):
+        imported(urdf, tmp_path / "out")
+    tree = skeleton.Tree(read_urdf(urdf))
+    unknown = r"^--jet: `x` is no link .*, `y` is no link .*; --foot: `z` is no link .*; --hold: `w` is no joint"
+    with pytest.raises(Refused, match=unknown):
+        tree.check_frames(["x", "y"], ["z"], ["w"])
+    ends = '<parent link="keel"/><child link="{0}"/>'
+    idle = "".join(
+        f'<link name="{name}"/><joint name="to_{name}" type="revolute">{ends.format(name)}{LIMIT}</joint>'
+        for name in "pq"
+    )
+    tree = skeleton.Tree(read_urdf(raft(tmp_path, ("</robot>", f"{idle}</robot>"))))
+    said = (
+        r"^link `p` has no mass, but joint `to_p` moves it, link `q` .* `to_q` moves it; .*: --hold to_p --hold to_q$"
+    )
+    with pytest.raises(Refused, match=said):
+        masses.require(tree, tree.moving([]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit", "axis", "is_named"),
+    [
+        ("continuous", "", "0 0 1", True),
+        ("continuous", "", "0 0 -1", True),
+        ("revolute", '<limit effort="1" velocity="100"/>', "0 0 1", True),  # without range
+        ("continuous", "", "1 0 0", False),  # a gimbal
+        ("revolute", LIMIT, "0 0 1", False),
+    ],
+)
+def test_rotors_that_spin_are_to_be_held(kind, limit, axis, is_named, tmp_path):
+    """One behind a fixed joint that turns its axes by a quarter about the spin, and one behind another link."""
+    parts = ""
+    for k in (1, 2):
+        ends = f'<parent link="keel"/><child link="hub_{k}"/><axis xyz="{axis}"/>{limit}'
+        parts += f'<link name="hub_{k}">{SMALL}</link><joint name="spin_{k}" type="{kind}">{ends}</joint>'
+        ends = f'<origin rpy="0 0 1.5707963"/><parent link="hub_{k}"/><child link="rotor_{k}"/>'
+        parts += f'<link name="rotor_{k}"/><joint name="on_{k}" type="fixed">{ends}</joint>'
+    tree = skeleton.Tree(read_urdf(raft(tmp_path, ("</robot>", f"{parts}</robot>"))))
+    jets = [command.thruster(f"rotor_{k}:z:20:0.01") for k in (1, 2)]
+    found = tree.spinning(jets, [])
+    expected = "joints `spin_1`, `spin_2` turn jets about their axes without limits, as rotors spin: "
+    assert [warning.startswith(expected) for warning in found] == [True] * is_named
+    assert tree.spinning(jets, ["spin_1", "spin_2"]) == []
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.2, -0.2])

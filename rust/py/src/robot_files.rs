@@ -51,6 +51,7 @@ fn joint_dict<'py>(py: Python<'py>, joint: &Joint) -> PyResult<Bound<'py, PyDict
     let motion = joint.motion.as_ref();
     out.set_item("moves", motion.is_some())?;
     out.set_item("is_prismatic", motion.is_some_and(|motion| motion.kind == JointKind::Prismatic))?;
+    out.set_item("axis", motion.map(|motion| vector(py, motion.axis.as_slice())).transpose()?)?;
     out.set_item("limits", motion.and_then(|motion| motion.limits))?;
     out.set_item("effort", motion.map_or(0.0, |motion| motion.effort))?;
     out.set_item("velocity", motion.map_or(0.0, |motion| motion.velocity))?;

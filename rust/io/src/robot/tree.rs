@@ -180,6 +180,17 @@ fn roles<'a>(
     let places: BTreeMap<&str, usize> =
         order.iter().enumerate().map(|(place, name)| (*name, place)).collect();
 
+    // The other joints with the same mistake, so that one refusal names all.
+    let others = |refused: &str, mimics: bool| {
+        let found = motions.iter().filter(|(name, motion)| {
+            **name != refused
+                && motion.is_some_and(|motion| motion.mimic.is_some() == mimics)
+                && (mimics || !places.contains_key(*name))
+                && matches!(held_at(name, &motions, locked), Ok(None))
+        });
+        let names: Vec<_> = found.map(|(name, _)| format!("`{name}`")).collect();
+        if names.is_empty() { String::new() } else { format!("; the same for {}", names.join(", ")) }
+    };
     let role = |(name, motion): (&'a str, Option<&'a Motion>)| {
         let item = format!("joint `{name}`");
         let place = places.get(name).copied();
@@ -199,10 +210,12 @@ fn roles<'a>(
             (Some(place), _, None) => Ok(Role::Moving(motion, place)),
             (_, _, Some(mimic)) => {
                 let value = format!("a mimic of `{}`", mimic.joint);
-                Err(BuildError::bad_value(item, value, "a position in `locked` for it, or for that joint"))
+                let expected = format!("a position in `locked` for it, or for that joint{}", others(name, true));
+                Err(BuildError::bad_value(item, value, expected))
             }
             (None, None, None) => {
-                Err(BuildError::bad_value(item, "neither in the joint order nor locked", "one of both"))
+                let expected = format!("one of both{}", others(name, false));
+                Err(BuildError::bad_value(item, "neither in the joint order nor locked", expected))
             }
         }
     };
