@@ -15,8 +15,9 @@ Sensors, outages and faults of the experiment act on the controller; what is obs
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import index
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any, Literal, SupportsIndex, cast
 
 import gymnasium  # type: ignore[import-not-found,unused-ignore]
 import numpy as np
@@ -170,7 +171,8 @@ class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.
     """Fly many episodes of `HoverEnv` at once, on all cores.
 
     An episode that ends begins anew in the same step: `infos["final_obs"]` has the last observation of the ended one,
-    `_final_obs` says which ones ended. A seed is that of the first environment, the others have the next ones.
+    `_final_obs` says which ones ended, and `infos["final_info"]` has their last parts of rewards. A seed is that of the
+    first environment, the others have the next ones.
 
     Parameters
     ----------
@@ -190,6 +192,8 @@ class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.
         observation: Observation = FEATURES,
         reward: Reward = rewards,
     ) -> None:
+        # Gymnasium's own vector environments have it here too, where libraries ask for it.
+        self.autoreset_mode = self.metadata["autoreset_mode"]
         self.num_envs = num_envs
         self.envs = [HoverEnv(task, drawn, observation=observation, reward=reward) for _ in range(num_envs)]
         first = self.envs[0]
@@ -198,13 +202,20 @@ class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: SupportsIndex | Sequence[SupportsIndex | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Infos]:
         """Begin an episode of every environment."""
-        if seed is None or isinstance(seed, int):
-            seed = [None if seed is None else seed + number for number in range(self.num_envs)]
+        if seed is None:
+            seeds: list[int | None] = [None] * self.num_envs
+        elif isinstance(seed, SupportsIndex) and np.ndim(cast(Any, seed)) == 0:  # also an integer of NumPy
+            seeds = [index(seed) + number for number in range(self.num_envs)]
+        else:
+            seeds = [None if own is None else index(own) for own in cast(Sequence[SupportsIndex | None], seed)]
         infos: Infos = {}
-        begun = [env.reset(seed=own, options=options) for env, own in zip(self.envs, seed, strict=True)]
+        begun = [env.reset(seed=own, options=options) for env, own in zip(self.envs, seeds, strict=True)]
         for number, (_, info) in enumerate(begun):
             infos = self._add_info(infos, info, number)
         return np.array([obs for obs, _ in begun]), infos
@@ -217,7 +228,8 @@ class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.
         obs, lost, ended, parts = _step(self.envs, clipped)
         infos: Infos = dict(parts)
         for number in map(int, np.flatnonzero(lost | ended)):
-            infos = self._add_info(infos, {"final_obs": obs[number].copy()}, number)
+            last = {name: float(values[number]) for name, values in parts.items()}
+            infos = self._add_info(infos, {"final_obs": obs[number].copy(), "final_info": last}, number)
             obs[number], info = self.envs[number].reset()
             infos = self._add_info(infos, info, number)
         return obs, np.where(lost, 0.0, sum(parts.values())), lost, ended, infos

@@ -46,7 +46,7 @@ def make_card(
 def card_path(path: str | PathLike[str]) -> Path:
     """Return the path of a card; refuse one that does not end in .json."""
     target = Path(path)
-    if target.suffix != ".json":
+    if target.suffix.lower() != ".json":
         raise ValueError(f"path is {target.name!r}; expected the card's name, ending in .json")
     return target
 

@@ -50,7 +50,7 @@ def names(kind: str) -> list[str]:
 
 def is_path(text: str) -> bool:
     """Return whether a text is the path of a file rather than a name."""
-    return "/" in text or text.endswith(".toml")
+    return "/" in text or text.lower().endswith(".toml")
 
 
 def name_of(text: str) -> str:

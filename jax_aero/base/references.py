@@ -77,9 +77,9 @@ def _table(path: Path) -> Any:
 def _read(path: Path, *_: int) -> Any:
     """Return what a file says that was changed at this time, and is of this size."""
     try:
-        if path.suffix == ".toml":
+        if path.suffix.lower() == ".toml":
             return tables.read(path)
-        return parse_json(path.read_bytes()) if path.suffix == ".json" else None
+        return parse_json(path.read_bytes()) if path.suffix.lower() == ".json" else None
     except ValueError:
         return None
 

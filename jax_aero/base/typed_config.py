@@ -72,7 +72,7 @@ def copy_outside(config: Mapping[str, Any], folder: Path) -> None:
     """
     for key in rust.path_keys(config):
         path = Path(get(config, key))
-        if make_portable(path).startswith(OUTSIDE) and path.suffix not in {".toml", ".json", ".urdf"}:
+        if make_portable(path).startswith(OUTSIDE) and path.suffix.lower() not in {".toml", ".json", ".urdf"}:
             (folder / COPIES).mkdir(exist_ok=True)
             shutil.copyfile(path, folder / COPIES / path.name)
 

@@ -154,7 +154,7 @@ class Design:
     def known_postures(self) -> dict[str, Floats]:
         """Return the joint angles (19,) [deg] of all known postures."""
         path = self.spec.joints or POSTURES
-        return known_postures(path=path) if path.suffix == ".toml" else read_postures(path, JOINTS)
+        return known_postures(path=path) if path.suffix.lower() == ".toml" else read_postures(path, JOINTS)
 
     @cached_property
     def joints(self) -> dict[str, Floats]:

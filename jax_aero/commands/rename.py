@@ -187,12 +187,12 @@ def _change(path: Path) -> list[str]:
     if path.name in RESULTS:
         _change_result(path)
         return []
-    if path.suffix == ".parquet":
+    if path.suffix.lower() == ".parquet":
         _change_table(path)
         return []
     text = path.read_text(encoding="utf-8")
     moved: list[str] = []
-    if path.suffix == ".toml":
+    if path.suffix.lower() == ".toml":
         rust.read_toml(path)  # refuses what cannot be read
         renamed, moved = toml(text, _root(path, text))
     else:
@@ -211,7 +211,7 @@ def main(arguments: Sequence[str]) -> int:
     def work() -> int:
         found = [file for place in given.place for file in (place.rglob("*") if place.is_dir() else [place])]
         found.sort(key=lambda file: (file.name in RESULTS, file))  # manifests have checksums of the other files
-        left = [line for file in found if file.suffix in KINDS and file.is_file() for line in _change(file)]
+        left = [line for file in found if file.suffix.lower() in KINDS and file.is_file() for line in _change(file)]
         if left:
             raise Refused("\n".join(left))
         return 0

@@ -149,9 +149,8 @@ class Tree:
             return []
         turn = "turns a jet about its axis" if len(found) == 1 else "turn jets about their axes"
         ways = " ".join(f"--hold {name}" for name in found)
-        return [
-            f"{_quoted('joint', found)} {turn} without limits, as rotors spin: expected {ways}; a rotor's moment is the last part of --jet"
-        ]
+        what = f"{_quoted('joint', found)} {turn} without limits, as rotors spin"
+        return [f"{what}: expected {ways}; a rotor's moment is the last part of --jet"]
 
     def rigid(self, link: str, moving: Collection[str]) -> list[str]:
         """Return a link and those below it that no moving joint separates from it."""

@@ -11,6 +11,9 @@ CONVERTERS = {
     **dict.fromkeys((".bin", ".tlog"), "; `mavlogdump.py --format csv` makes CSV of it"),
     **dict.fromkeys((".bag", ".db3"), "; PlotJuggler exports CSV, `ros2 bag convert` makes MCAP (JSON is read)"),
     **dict.fromkeys((".gz", ".zip", ".xz", ".zst"), "; unpack it first"),
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), "; save its sheet as CSV"),
+    **dict.fromkeys((".mf4", ".mdf", ".dat"), "; `asammdf` exports CSV, parquet and MATLAB files"),
+    **dict.fromkeys((".h5", ".hdf5"), "; write its columns as parquet, e.g. with pandas"),
     ".ulg": "; `ulog2csv` makes CSV of it",
 }
 """What makes a log that is read of one of another format, by suffix."""

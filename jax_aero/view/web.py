@@ -151,10 +151,10 @@ def _is_within(path: Path, folders: Sequence[Path]) -> bool:
 
 def _companions(path: Path) -> list[Path]:
     """Return the URDF of a robot's file, the weights of a network's card."""
-    if path.suffix == ".toml":
+    if path.suffix.lower() == ".toml":
         named = tomllib.loads(path.read_text(encoding="utf-8")).get("urdf")
     else:
-        named = read_json(path).get("weights", {}).get("file") if path.suffix == ".json" else None
+        named = read_json(path).get("weights", {}).get("file") if path.suffix.lower() == ".json" else None
     return [] if named is None else [path.parent / named]
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from jax_aero import __main__ as commands
 from jax_aero import cli, rust
 from jax_aero.base import places
 from jax_aero.base.terminal import exit_status, progress_bar
@@ -222,6 +223,38 @@ def test_a_configuration_is_found_by_name_and_by_path(tmp_path, monkeypatch):
         rust.load_config("mine")
     with pytest.raises(ValueError, match=r'is "test2"; expected a table, such as load_config'):
         rust.fly("test2")
+
+
+@pytest.mark.parametrize("ending", ["TOML", "Toml", "toml"])
+def test_a_name_of_a_file_may_have_capitals(ending, tmp_path, monkeypatch, capsys):
+    """Of an experiment, of what it builds on, and of a controller, in this folder."""
+    monkeypatch.chdir(tmp_path)
+    Path(f"E.{ending}").write_text('base = "test2"\nsimulator = { duration = 0.05 }\n')
+    Path(f"F.{ending}").write_text(f'base = "E.{ending}"\n')
+    Path(f"C.{ending}").write_text(f'base = "{ROOT}/configs/control/baseline.toml"\n')
+    assert rust.load_config(f"E.{ending}")["simulator"]["duration"] == 0.05
+    assert rust.load_config(f"F.{ending}") == rust.load_config(f"E.{ending}")
+    assert rust.load_controller(f"C.{ending}") == rust.load_controller("baseline")
+    assert commands.main(["fly", f"E.{ending}", "--out", "out"]) == 0
+    assert [path.name for path in Path("out").iterdir()] == ["E"]
+    capsys.readouterr()
+
+
+def test_a_base_that_is_no_text_is_refused_by_its_key(tmp_path):
+    own = tmp_path / "own.toml"
+    for value, key in (('base = ["a"]', "base"), ("base = 1", "base"), ('[wind]\nbase = ["a"]', r"wind\.base")):
+        own.write_text(f"{value}\n" if value.startswith("base") else f'base = "test2"\n{value}\n')
+        with pytest.raises(ValueError, match=rf"^`{key}` is .*; expected the path of a TOML file$"):
+            rust.load_config(own)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
+def test_a_file_of_windows_is_read(encoding, tmp_path):
+    """As its editors and shell write it: UTF-16 with a mark, in either order of bytes."""
+    own = tmp_path / "own.toml"
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    own.write_bytes(f'{mark}base = "test2"\ntitle = "größer"\n'.encode(encoding))
+    assert rust.load_config(own)["title"] == "größer"
 
 
 def test_a_file_anywhere_has_a_shipped_flight_as_its_base(tmp_path):

@@ -209,6 +209,11 @@ def test_many_episodes_at_once_are_those_of_single_environments(tracking):
         for number in np.flatnonzero(found[2] | found[3]):
             last = [infos["final_obs"][number] for infos in (found[4], expected[4])]
             np.testing.assert_allclose(*last, rtol=0.0, atol=1e-6)
+            final = [
+                {name: found["final_info"][name][number] for name in ("attitude", "effort")}
+                for found in (found[4], expected[4])
+            ]
+            assert final[0] == pytest.approx(final[1], abs=1e-6, nan_ok=True)
             assert np.abs(last[0] - found[0][number]).max() > 1e-3
         ends.append((found[2] | found[3]).tolist())
     both, lost = [True] * 3, [False, True, False]
@@ -225,6 +230,35 @@ def test_many_episodes_at_once_refuse_what_a_single_one_refuses():
             environment.reset(options={"winds": WIND})
     made = gymnasium.make_vec("jax_aero.env_gym:jax_aero/Hover-v0", 3, "vector_entry_point")
     assert made.reset(seed=1)[0].shape == (3, 71)
+
+
+@pytest.mark.parametrize("seed", [np.int64(3), np.uint8(3), np.array(3), [3, 4], np.array([3, 4]), (3, np.int32(4))])
+def test_a_seed_is_an_integer_of_any_kind(seed):
+    """As a generator of NumPy draws it; that of the first environment, or one of each."""
+    many, single = HoverVectorEnv(2), [HoverEnv(), HoverEnv()]
+    expected = [env.reset(seed=own)[0] for env, own in zip(single, (3, 4), strict=True)]
+    np.testing.assert_array_equal(many.reset(seed=seed)[0], expected)
+
+
+def test_what_is_no_seed_is_refused():
+    many = HoverVectorEnv(2)
+    for wrong in (1.5, "ab", [1.5, 2], [1]):
+        with pytest.raises((TypeError, ValueError)):
+            many.reset(seed=wrong)
+    first, second = many.reset(seed=[5, None])[0], many.reset(seed=5)[0]
+    np.testing.assert_array_equal(first[0], second[0])
+
+
+def test_libraries_find_the_mode_of_restarts_where_gymnasium_has_it():
+    """And wrappers of vector environments that do not ask for another mode go through an episode."""
+    many = HoverVectorEnv(2, Task(duration=0.03))
+    assert many.autoreset_mode is many.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(gymnasium.wrappers.vector.ClipAction(many))
+    wrapped.reset(seed=1)
+    infos = [wrapped.step(np.zeros((2, 27), np.float32))[4] for _ in range(3)]
+    assert infos[-1]["episode"]["l"].tolist() == [3, 3]
+    with pytest.raises(ValueError, match=r"(?i)autoreset"):
+        gymnasium.wrappers.vector.NormalizeObservation(many)
 
 
 def test_flights_that_cannot_go_on_together_are_refused(tmp_path):

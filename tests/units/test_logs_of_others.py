@@ -390,7 +390,32 @@ def test_numpys_tables_have_their_header_in_a_comment(table, signals, config, tm
         check(ticks(path, config, mapping(tmp_path, signals)))
 
 
-@pytest.mark.parametrize("word", ["-nan(ind)", "1.#QNAN", "#N/A", "NaN", "", "<NA>"])
+@pytest.mark.parametrize("comment", ["# ", "% ", "%", "%% of a rig\n% "])
+def test_a_header_may_be_a_comment_of_either_kind(comment, table, signals, config, tmp_path):
+    """As NumPy's users and MATLAB's write it."""
+    path, log = tmp_path / "log.txt", table.assign(t=SECONDS)
+    np.savetxt(path, log.to_numpy(), delimiter=",", header=",".join(log), comments=comment)
+    check(ticks(path, config, mapping(tmp_path, signals)))
+
+
+@pytest.mark.parametrize(("word", "number"), [("1.#INF", np.inf), ("-1.#INF", -np.inf), ("1.#INF00", np.inf)])
+def test_infinity_of_microsofts_library_is_a_number(word, number, table, signals, config, tmp_path):
+    path, log = tmp_path / "log.csv", table.assign(t=SECONDS).astype(object)
+    log.loc[[3, 4], "wx"] = word
+    log.to_csv(path, index=False)
+    wind = logs.read(path, config, mapping(tmp_path, signals)).signals["raw_wind"][0].rows
+    assert wind[3:5].tolist() == [number, number]
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig"])
+def test_tables_and_maps_of_windows_have_a_mark(encoding, table, signals, config, tmp_path):
+    path, columns = tmp_path / "log.csv", mapping(tmp_path, signals)
+    table.assign(t=SECONDS).to_csv(path, index=False, encoding=encoding)
+    columns.write_text(columns.read_text(), encoding=encoding)
+    check(ticks(path, config, columns))
+
+
+@pytest.mark.parametrize("word", ["-nan(ind)", "1.#QNAN0", "-1.#IND00", "1.#QNAN", "#N/A", "NaN", "", "<NA>"])
 def test_missing_numbers_of_other_programs_are_none(word, table, signals, config, tmp_path):
     path, log = tmp_path / "log.csv", table.assign(t=SECONDS).astype(object)
     log.loc[[3, 4], ["wx", "wy", "wz"]] = word
@@ -431,6 +456,9 @@ def test_a_cell_of_several_numbers_says_what_is_read(form, table, signals, confi
         ("a.bag", "PlotJuggler"),
         ("a_0.db3", "ros2 bag convert"),
         ("a.csv.gz", "unpack"),
+        ("log.xlsx", "save its sheet as CSV"),
+        ("00001.MF4", "asammdf"),
+        ("run.h5", "parquet"),
         ("a.foo", "or a file of .mcap"),
     ],
 )

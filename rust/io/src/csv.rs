@@ -1,8 +1,8 @@
 //! The one dialect of tables in text: a header, and a row of cells for each line.
 //!
 //! Commas, semicolons, tabs or blanks separate the cells; beside the latter three a comma is decimal. Cells may stand in
-//! quotation marks (RFC 4180). Blanks around cells, empty lines, `#` comments and a byte order mark are nothing; a comment
-//! before the rows may be the header, as NumPy's `savetxt` writes it.
+//! quotation marks (RFC 4180). Blanks around cells, empty lines, comments after `#` or `%` and a byte order mark are nothing; a
+//! comment before the rows may be the header, as NumPy's `savetxt` and MATLAB's users write it.
 
 use flight_core::BuildError;
 use std::borrow::Cow;
@@ -10,6 +10,12 @@ use std::iter::once;
 
 /// Cells in which nothing was measured, but for signs; those with brackets and `1.#` are of Microsoft's C library.
 const EMPTY: &str = "|na|n/a|nan|null|none|#n/a|<na>|nat|nan(ind)|nan(snan)|1.#ind|1.#qnan|1.#snan";
+
+/// Infinity of Microsoft's C library, but for signs.
+const INFINITE: &str = "1.#inf";
+
+/// Beginnings of comments.
+const COMMENT: [char; 2] = ['#', '%'];
 
 /// What the cells of a column hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -148,19 +154,21 @@ impl<'t> Csv<'t> {
 
     fn number(&self, column: usize, cell: &str) -> Option<f64> {
         let number = if self.separator == b',' { cell.parse() } else { cell.replace(',', ".").parse() };
+        let bare = cell.strip_prefix(['+', '-']).filter(|bare| !bare.is_empty()).unwrap_or(cell);
         let is_missing = || {
-            let bare = cell.strip_prefix(['+', '-']).filter(|bare| !bare.is_empty()).unwrap_or(cell);
-            EMPTY.split('|').any(|empty| empty.eq_ignore_ascii_case(bare))
+            EMPTY.split('|').any(|empty| empty.eq_ignore_ascii_case(digits(bare)))
                 || self.missing.iter().any(|(of, text)| *of == self.names[column] && text == cell)
         };
-        number.ok().or_else(|| is_missing().then_some(f64::NAN))
+        let infinity = if cell.starts_with('-') { f64::NEG_INFINITY } else { f64::INFINITY };
+        let number = number.ok().or_else(|| INFINITE.eq_ignore_ascii_case(digits(bare)).then_some(infinity));
+        number.or_else(|| is_missing().then_some(f64::NAN))
     }
 
     /// The line and the cells of the next row; `None` at the end.
     fn next_row(&mut self) -> Result<Option<Row<'t>>, BuildError> {
         while !self.rest.is_empty() {
             let (text, line) = (self.rest, self.line);
-            let is_comment = text.trim_start_matches([' ', '\t']).starts_with('#');
+            let is_comment = text.trim_start_matches([' ', '\t']).starts_with(COMMENT);
             let (mut cells, mut start, mut end, mut is_quoted) = (Vec::new(), 0, text.len(), false);
             for (place, byte) in text.bytes().enumerate() {
                 match byte {
@@ -214,10 +222,15 @@ impl Rows {
 fn comments(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let mut rest = text;
     (1..).map_while(move |line| {
-        let comment = rest.trim_start_matches([' ', '\t']).strip_prefix('#')?;
+        let comment = rest.trim_start_matches([' ', '\t']).strip_prefix(COMMENT)?;
         rest = comment.split_once('\n').map_or("", |(_, rest)| rest);
-        Some((line, comment.trim_start_matches('#')))
+        Some((line, comment.trim_start_matches(COMMENT)))
     })
+}
+
+/// A number of Microsoft's C library without the zeros that fill its digits, as in `1.#INF00`.
+fn digits(cell: &str) -> &str {
+    if cell.contains('#') { cell.trim_end_matches('0') } else { cell }
 }
 
 fn place(file: &str, line: usize) -> String {

@@ -3,6 +3,7 @@
 //! A program without a disk (a web page) holds every file it needs under a relative path.
 
 use flight_core::BuildError;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -43,8 +44,25 @@ pub fn read_bytes(path: &Path) -> Result<Arc<[u8]>, BuildError> {
 /// # Errors
 /// [`BuildError`] naming the file, also if it is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String, BuildError> {
-    String::from_utf8(read_bytes(path)?.to_vec())
-        .map_err(|error| BuildError::malformed(path.display().to_string(), error))
+    let bytes = read_bytes(path)?;
+    let text = decode(&bytes).map_err(|error| BuildError::malformed(path.display().to_string(), error))?;
+    Ok(text.into_owned())
+}
+
+/// Decodes text in UTF-8, or in UTF-16 with the byte-order mark that programs of Windows write before it.
+///
+/// # Errors
+/// What is no such text.
+pub fn decode(bytes: &[u8]) -> Result<Cow<'_, str>, String> {
+    let utf16 = |bytes: &[u8], unit: fn([u8; 2]) -> u16| {
+        let units: Vec<u16> = bytes.as_chunks().0.iter().copied().map(unit).collect();
+        String::from_utf16(&units).map(Cow::Owned).map_err(|error| error.to_string())
+    };
+    match bytes {
+        [0xFF, 0xFE, rest @ ..] => utf16(rest, u16::from_le_bytes),
+        [0xFE, 0xFF, rest @ ..] => utf16(rest, u16::from_be_bytes),
+        _ => std::str::from_utf8(bytes).map(Cow::Borrowed).map_err(|error| error.to_string()),
+    }
 }
 
 /// Whether a path leads to anything.

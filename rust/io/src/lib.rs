@@ -26,7 +26,7 @@ pub mod toml;
 
 pub use aero::{AeroConfig, load_aero};
 pub use controller::{ControllerSection, OnboardConfig, load_controller};
-pub use files::{hold, read_bytes, read_text};
+pub use files::{decode, hold, read_bytes, read_text};
 pub use flight_core::schema::Schema;
 pub use mission::{MissionConfig, load_mission, read_recording};
 pub use network::{NetworkConfig, read_network};

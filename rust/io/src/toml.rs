@@ -396,9 +396,10 @@ impl Reader<'_> {
         let Some(base) = base else { return Ok(table) };
         let Value::String(file) = base else {
             let expected = "the path of a TOML file";
-            return Err(refusal("base", &base, expected).in_file(folder.display()));
+            return Err(refusal(&join(key, "base"), &base, expected));
         };
-        let is_path = file.contains('/') || Path::new(&file).extension().is_some_and(|end| end == "toml");
+        let is_path = file.contains('/')
+            || Path::new(&file).extension().is_some_and(|end| end.eq_ignore_ascii_case("toml"));
         let file = if is_path { Cow::Borrowed(&file) } else { Cow::Owned(format!("{file}.toml")) };
         let base = self.find(&file, &join(key, "base"), folder)?;
         let mut merged = self.read(&base, node, key, depth + 1)?;

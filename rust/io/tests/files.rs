@@ -33,6 +33,14 @@ fn paths_of_held_files() {
     }
     hold(Path::new("held/latin.txt"), vec![0xe9]);
     assert_says(&read_text(Path::new("held/latin.txt")).unwrap_err(), &["held/latin.txt: ", "utf-8"]);
+    let marked = |bytes: fn(u16) -> [u8; 2]| "\u{feff}größe = 1".encode_utf16().flat_map(bytes).collect();
+    for (name, bytes) in [("little", marked(u16::to_le_bytes)), ("big", marked(u16::to_be_bytes))] {
+        let path = format!("held/{name}.toml");
+        hold(Path::new(&path), bytes);
+        assert_eq!(read_text(Path::new(&path)).unwrap(), "größe = 1", "{name}");
+    }
+    hold(Path::new("held/half.toml"), vec![0xff, 0xfe, 0x00, 0xd8]); // half of a pair
+    assert_says(&read_text(Path::new("held/half.toml")).unwrap_err(), &["held/half.toml: ", "utf-16"]);
     assert_says(
         &read_bytes(Path::new(".")).unwrap_err(),
         &["expected a regular file of at most 67108864 bytes"],

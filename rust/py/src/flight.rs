@@ -208,7 +208,8 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
 /// What a TOML or JSON file says, as JSON; the bytes of any other file.
 fn content(path: &Path, bytes: Vec<u8>) -> Vec<u8> {
     let text = std::str::from_utf8(&bytes).unwrap_or_default();
-    let said = match path.extension().and_then(|extension| extension.to_str()) {
+    let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
+    let said = match extension.as_deref() {
         Some("toml") => flight_io::toml::to_json(text, "").ok(),
         Some("json") => serde_json::from_str::<Value>(text).ok().map(|value| value.to_string()),
         _ => None,

@@ -51,10 +51,10 @@ pub fn read_csv<'py>(
 ) -> PyResult<Table<'py>> {
     let (names, width, rows) = py
         .detach(|| {
-            let text = str::from_utf8(content)
+            let text = flight_io::decode(content)
                 .map_err(|error| BuildError::bad_value(file, error, "text in UTF-8"))?;
             let mut csv =
-                Csv::new(text, file, &format!("a header with `{key}`"), |names| names.contains(&key))?;
+                Csv::new(&text, file, &format!("a header with `{key}`"), |names| names.contains(&key))?;
             csv.missing = missing;
             let mut wanted: Vec<_> =
                 columns.iter().map(|(name, kind)| (name.as_str(), kind_of(kind))).collect();

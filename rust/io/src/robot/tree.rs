@@ -210,7 +210,8 @@ fn roles<'a>(
             (Some(place), _, None) => Ok(Role::Moving(motion, place)),
             (_, _, Some(mimic)) => {
                 let value = format!("a mimic of `{}`", mimic.joint);
-                let expected = format!("a position in `locked` for it, or for that joint{}", others(name, true));
+                let expected =
+                    format!("a position in `locked` for it, or for that joint{}", others(name, true));
                 Err(BuildError::bad_value(item, value, expected))
             }
             (None, None, None) => {

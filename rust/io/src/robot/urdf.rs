@@ -7,6 +7,7 @@ use flight_core::robot::JointKind;
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use nalgebra::{Matrix3, Unit, Vector3};
 use roxmltree::{Document, Error, Node};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
@@ -106,14 +107,9 @@ pub struct Mimic {
 /// Decodes the bytes of an XML file: UTF-8, UTF-16 with a byte-order mark, or what its first line declares, where that
 /// is ISO-8859-1 or makes no difference.
 pub(super) fn decode(bytes: &[u8]) -> Result<String, String> {
-    let utf16 = |bytes: &[u8], unit: fn([u8; 2]) -> u16| {
-        let units: Vec<u16> = bytes.as_chunks().0.iter().copied().map(unit).collect();
-        String::from_utf16(&units).ok()
-    };
     let declared = declared_encoding(bytes).to_ascii_lowercase();
     let text = match bytes {
-        [0xFF, 0xFE, rest @ ..] => utf16(rest, u16::from_le_bytes),
-        [0xFE, 0xFF, rest @ ..] => utf16(rest, u16::from_be_bytes),
+        [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] => crate::decode(bytes).ok().map(Cow::into_owned),
         [0xEF, 0xBB, 0xBF, rest @ ..] => String::from_utf8(rest.to_vec()).ok(),
         _ if ["iso-8859-1", "latin1", "latin-1"].contains(&declared.as_str()) => {
             Some(bytes.iter().copied().map(char::from).collect())
