@@ -6,9 +6,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from jax_aero.base.result import UPRIGHT
 from jax_aero.figures import style
 from jax_aero.figures.sweeps import require
 from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep.intervals import quantiles
 
 BALANCED = 45.0
 """Greatest rotation error of a completed flight that counts as balanced [deg]."""
@@ -26,7 +28,8 @@ def draw(sweep: SweepResult) -> Figure:
         share, lean = matrices(flights[flights["arms"] == arms], levels["model"], levels["world"])
         axes.imshow(share, vmin=0.0, vmax=1.0, cmap="RdYlBu", aspect="auto")
         for row, column in np.ndindex(*share.shape):
-            text = f"{100 * share[row, column]:.0f}\n{lean[row, column]:.0f}°"
+            median = "lost" if np.isinf(lean[row, column]) else f"{lean[row, column]:.0f}°"
+            text = f"{100 * share[row, column]:.0f}\n{median}"
             is_dark = not 0.2 < share[row, column] < 0.8
             axes.text(column, row, text, ha="center", va="center", fontsize=5.5, color="white" if is_dark else "black")
         axes.grid(visible=False)
@@ -43,12 +46,15 @@ def draw(sweep: SweepResult) -> Figure:
 
 
 def matrices(flights: pd.DataFrame, models: list[str], worlds: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Return share of balanced flights and median rotation error [deg], by controller's and simulator's model."""
+    """Return share of balanced flights and median rotation error [deg], by controller's and simulator's model.
+
+    The error of a lost flight is infinite.
+    """
     share, lean = np.zeros((len(models), len(worlds))), np.zeros((len(models), len(worlds)))
     for row, model in enumerate(models):
         for column, world in enumerate(worlds):
             own = flights[(flights["model"] == model) & (flights["world"] == world)]
             error = own["max_rotation_error_deg"].to_numpy()
             share[row, column] = np.mean((own["outcome"] == "completed") & (error <= BALANCED))
-            lean[row, column] = np.median(error)
+            (lean[row, column],) = quantiles(np.where(own["outcome"].isin(UPRIGHT), error, np.inf), [0.5])
     return share, lean

@@ -21,7 +21,7 @@ from jax_aero.base import places
 from jax_aero.base.files import read_json
 from jax_aero.base.terminal import Refused
 from jax_aero.results.sweep import SweepResult
-from jax_aero.sweep import aggregate
+from jax_aero.sweep import aggregate, columns
 
 AGAIN = "keep the result again (jax-aero report keep)"
 FOLDER = places.HOME / "docs" / "results"
@@ -153,7 +153,36 @@ def read(name: str) -> Kept:
         raise Refused(f"{path} is not what was written there: {AGAIN}")
     if found.rows and (missing := {*aggregate.KEPT} - {*found.columns}):
         raise Refused(f"{path} has no column `{min(missing)}`: {AGAIN}")
+    if wrong := contradiction(found):
+        raise Refused(f"{path} contradicts itself, {wrong}: {AGAIN}")
     return found
+
+
+def contradiction(kept: Kept) -> str:
+    """Return where rows contradict themselves or the outcomes of all flights; empty if nowhere.
+
+    A seal says that a file was written as it is, not that its numbers belong together.
+    """
+    rows = kept.table()
+    for number, row in enumerate(rows):
+        lost, lasting = row["flights"] - row["completed"] - row["landed"], ("landing", "off_course", "crashed")
+        if row["lost"] != lost or lost < sum(row[end] for end in lasting) or row["on_course"] > row["completed"]:
+            return f"in the counts of row {number}"
+        for error in aggregate.KEPT_ERRORS:
+            of_all, of_upright = (
+                [row[columns.quantile(error, end, population)] for end in columns.QUANTILES]
+                for population in columns.populations(error)
+            )
+            known = [[value for value in ends if value is not None] for ends in (of_all, of_upright)]
+            pairs = [(a, b) for a, b in zip(of_all, of_upright, strict=True) if a is not None and b is not None]
+            is_alike = all(a >= b for a, b in pairs) if lost else of_all == of_upright  # a loss lowers no quantile
+            if known != [sorted(ends) for ends in known] or not is_alike or (lost > 0) != (math.inf in of_all):
+                return f"in the errors of row {number}"
+    times = 2 if kept.paired else 1
+    for end in ("completed", "landed", "landing", "off_course", "crashed"):
+        if rows and sum(row[end] for row in rows) != times * kept.outcomes.get(end, 0):
+            return f"in the flights that end as {end}"
+    return ""
 
 
 def seal_of(kept: Kept) -> str:

@@ -186,6 +186,31 @@ def test_a_kept_result_with_another_number_is_refused(name, tmp_path, monkeypatc
     kept.read.cache_clear()
 
 
+SEALED = [name for name in kept.names() if kept.read(name).rows]
+
+
+@pytest.mark.parametrize("name", SEALED)
+def test_a_sealed_row_that_contradicts_itself_is_refused(name, tmp_path, monkeypatch):
+    """One count or error that another does not follow, sealed as if it had been written so."""
+    document = kept.read(name)
+    row = len(document.rows) // 2
+    flips = [(column, lambda value: value + 1) for column in ("flights", "completed", "landed", "landing", "lost")]
+    errors = ("rotation_error_deg_worst_of_upright", "com_error_worst_of_all", "rotation_error_deg_p90_of_all")
+    flips += [(column, lambda _: 1e-9) for column in errors]
+    monkeypatch.setattr(kept, "FOLDER", tmp_path)
+    assert kept.contradiction(document) == ""
+    for column, change in flips:
+        rows, place = [[*one] for one in document.rows], document.columns.index(column)
+        if rows[row][place] is None:
+            continue
+        rows[row][place] = change(rows[row][place])
+        (tmp_path / f"{name}.json").write_text(kept.to_json(msgspec.structs.replace(document, rows=rows)), "utf-8")
+        kept.read.cache_clear()
+        with pytest.raises(Refused, match="contradicts itself"):
+            kept.read(name)
+    kept.read.cache_clear()
+
+
 def test_a_kept_verdict_is_that_of_its_rows_by_the_present_claims_of_the_present_sweep(monkeypatch):
     """The judge, a bound or a configuration that changes changes it: nothing of it is kept."""
     today = Design(spec.load("robot_mission_loss")).digest
