@@ -140,7 +140,7 @@ def test_a_cell_of_the_matrix_counts_balanced_arrivals():
             "world": ["a", "a", "a", "b"],
             "model": ["m"] * 4,
             "outcome": ["completed", "completed", "fell", "completed"],
-            "max_rotation_error_deg": [10.0, 60.0, 120.0, 5.0],
+            "max_rotation_error_deg": [10.0, 60.0, 20.0, 5.0],
         }
     )
     share, lean = model_pairs.matrices(flights, ["m"], ["a", "b"])
