@@ -2,10 +2,9 @@
 
 A step of our loop with each network is measured in turns with NumPy's product of two matrices of 2048 × 2048 in single
 precision, whose rate is what the machine reaches at the same time, and with the same step of PyTorch, where it is
-installed; so is a tick of the environments, without restarts. Times are processor times of one core, in which other
-programs do not count, though they empty its caches: each is the least of some turns. Prints all of it. The status is 1
-if a network reaches a share of NumPy's rate more than a tenth below that of `docs/results/bench_train.json`, which
-`--store` replaces.
+installed. Times are processor times of one core, in which other programs do not count, though they empty its caches:
+each is the least of some turns. Prints all of it. The status is 1 if a network reaches a share of NumPy's rate more
+than a tenth below that of `docs/results/bench_train.json`, which `--store` replaces.
 """
 
 from __future__ import annotations
@@ -28,11 +27,8 @@ from jax_aero.aero.network import Network
 from jax_aero.base import places
 from jax_aero.base.arguments import count
 from jax_aero.base.files import write_text
-from jax_aero.env import FlightEnv, Task
-from jax_aero.env_gym import HoverVectorEnv
 from jax_aero.results import kept, manifest
 from jax_aero.results.study import listing
-from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.train import config, loop
 from jax_aero.train.adam import adam_start
 
@@ -52,7 +48,6 @@ ROWS = 2 * 4826
 """Rows of the paper's free-stream table, with their mirror images."""
 H200 = 67e12
 """Operations a second of an NVIDIA H200 in single precision, by its data sheet."""
-ROBOTS = 64
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--turns", type=count, default=15, help="number of runs of everything (default 15)")
     parser.add_argument("--store", action="store_true", help="store what is measured")
     given = parser.parse_args(arguments)
-    found = measure(networks() | peers() | environments(), given.turns)
+    found = measure(networks() | peers(), given.turns)
     print(listing(found))
     slower = [] if given.store else below(found)
     if given.store:
@@ -138,20 +133,6 @@ def _torch_step(net: Any, adam: Any, x: Any, y: Any) -> float:
     return float(loss)
 
 
-def environments() -> dict[str, tuple[float, Callable[[], Any]]]:
-    """Return ticks and functions by name: a tick of both environments."""
-    task = Task(duration=1e3)
-    many, ours = HoverVectorEnv(ROBOTS, task), FlightEnv(task)
-    many.reset(seed=0)
-    states = jax.vmap(ours.reset)(jax.random.split(jax.random.key(0), ROBOTS))
-    step = jax.jit(jax.vmap(ours.step), compiler_options=COMPILER_OPTIONS)
-    actions = np.zeros((ROBOTS, ours.action_size), np.float32)
-    return {
-        "Gymnasium, over the crate": (ROBOTS, lambda: many.step(actions)),
-        "JAX, single precision": (ROBOTS, lambda: untyped.block_until_ready(step(states, actions))),
-    }
-
-
 def measure(cases: Mapping[str, tuple[float, Callable[[], Any]]], turns: int) -> dict[str, dict[str, float]]:
     """Return figures by case, of the fastest of some runs in turns."""
     best = dict.fromkeys(cases, np.inf)
@@ -164,7 +145,6 @@ def measure(cases: Mapping[str, tuple[float, Callable[[], Any]]], turns: int) ->
     rates = {name: work / best[name] for name, (work, _) in cases.items()}
     products = [name for name in cases if name.removeprefix(PEER) in ("NumPy", *NETWORKS)]
     found = {name: {RATE: rates[name] / 1e9, SHARE: rates[name] / rates["NumPy"]} for name in products}
-    found |= {name: {"ticks a second": rates[name]} for name in cases if name not in found}
     paper = next(iter(NETWORKS))
     training, _ = config.read(places.CONFIGS / "training" / "paper.toml")
     operations = 6.0 * weights(training.start(0)) * ROWS * training.training.epochs

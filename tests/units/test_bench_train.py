@@ -28,10 +28,9 @@ def test_rates_are_those_of_the_fastest_run(monkeypatch):
     monkeypatch.setattr(bench.time, "process_time", lambda: clock[0])
     cases = {"NumPy": case(2e9, 0.1, 2.0, 1.0)} | {name: case(1e9, 0.1, 1.0, 1.5) for name in bench.NETWORKS}
     peer = {"PyTorch, 4 × 128": case(1e9, 0.1, 4.0, 2.0)}
-    found = bench.measure(cases | peer | {"robots": case(64, 9.0, 0.5, 0.25)}, 2)
+    found = bench.measure(cases | peer, 2)
     assert found["PyTorch, 4 × 128"] == pytest.approx({"GFLOP/s": 0.5, "share of NumPy's": 0.25})
     assert found["4 × 128"] == pytest.approx({"GFLOP/s": 1.0, "share of NumPy's": 0.5})
-    assert found["robots"] == {"ticks a second": 256.0}
     paper = found["the paper's network, all epochs"]
     assert paper["on one core here [h]"] == pytest.approx(paper["operations"] / 1e9 / 3600.0)
 
@@ -41,7 +40,6 @@ def test_a_network_below_its_stored_share_is_named(monkeypatch, tmp_path, capsys
     slower = shares | {"4 × 256": {"share of NumPy's": 0.89}}
     monkeypatch.setattr(kept, "FOLDER", tmp_path)
     monkeypatch.setattr(bench, "networks", dict)
-    monkeypatch.setattr(bench, "environments", dict)
     monkeypatch.setattr(bench, "peers", dict)
     kept.read.cache_clear()
     for found, words, status in ((shares, ["--store"], 0), (shares, [], 0), (slower, [], 1)):

@@ -18,7 +18,8 @@ def draw(*studies: xr.Dataset) -> Figure:
         minutes = study["minutes"].mean("seed")
         reward, seeds = study["reward"], study.sizes["seed"]
         course.fill_between(minutes, reward.min("seed"), reward.max("seed"), color=colour, alpha=0.25, linewidth=0)
-        course.plot(minutes, reward.mean("seed"), color=colour, label=f"{label}, {seeds} seed{'s' * (seeds > 1)}")
+        of = f"{seeds} seed{'s' * (seeds > 1)} of {float(minutes[-1]):.1f} min"
+        course.plot(minutes, reward.mean("seed"), color=colour, label=f"{label}, {of}")
         speed = np.linalg.norm(study["wind"], axis=1)
         final.plot(speed, study["final_reward"].T, ".", markersize=3, color=colour)
     course.set_xlabel("processor time [min]")
