@@ -13,7 +13,6 @@ from numbers import Real
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
 from jax_aero.base.features import Aim, features
@@ -101,9 +100,7 @@ class Task:
     def aim(self, xp: Any, com: Any, rotation: Any) -> Aim:
         """Return the set-point of a hover that begins with this centre of mass and attitude."""
         if self.attitude_deg is not None:
-            # As `simulator.initial.base_rpy_deg`: about the fixed axes x, y, z.
-            wanted = Rotation.from_euler("xyz", self.attitude_deg, degrees=True).as_matrix()
-            rotation = xp.asarray(wanted, rotation.dtype)
+            rotation = xp.asarray(_rotation(self.attitude_deg), rotation.dtype)
         still = xp.zeros_like(com)
         return Aim(com + xp.asarray(self.offset, com.dtype), rotation, still, still)
 
@@ -153,6 +150,21 @@ def task_of(given: Task | str | None) -> Task:
     if not isinstance(given, Task | None):
         raise ValueError(f"`task` is {given!r}; expected a Task, or the name of an experiment")
     return given or Task()
+
+
+def _rotation(rpy_deg: tuple[float, float, float]) -> Any:
+    """Return the rotation by roll, pitch and yaw about fixed axes, as `simulator.initial.base_rpy_deg` has them.
+
+    With NumPy alone, since Gymnasium's environment needs neither SciPy nor JAX.
+    """
+    (cr, cp, cy), (sr, sp, sy) = np.cos(np.radians(rpy_deg)), np.sin(np.radians(rpy_deg))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def _check(name: str, value: Any, least: float, expected: str) -> None:

@@ -575,6 +575,12 @@ def test_a_set_point_apart_from_the_start(x64):
             Task(**{"steering": "rates"} | given, offset=(0.1, 0.0, 0.0))
 
 
+def test_the_attitude_of_a_set_point_is_that_of_the_fixed_axes():
+    aim = Task(steering="rates", attitude_deg=(20.0, -30.0, 50.0)).aim(np, np.zeros(3), np.eye(3))
+    expected = Rotation.from_euler("xyz", [20.0, -30.0, 50.0], degrees=True).as_matrix()
+    np.testing.assert_allclose(aim.rotation, expected, atol=1e-15)
+
+
 def test_a_turbulent_wind_is_drawn_anew(x64):
     """Over its speed it has the standard deviation of the task; every episode has other turbulence."""
     task = Task(profile="turbulent", ramp=0.0, turbulence=0.2, duration=30.0)
