@@ -15,6 +15,9 @@ from jax_aero.view import logs, measured
 
 Array = NDArray[np.float64]
 
+REPRODUCED = 1e-3
+"""Greatest difference of torques that a rounding of the log may make, in parts of the greatest torque."""
+
 PREDICTED = {
     "joints_predicted": ("raw_joint_position", "raw_joint_velocity"),
     "position_predicted": ("raw_base_position",),
@@ -41,6 +44,29 @@ def replay(log: logs.Log, config: rust.Config, path: Path) -> tuple[Mapping[str,
         of = f"{count} of {is_there.sum()} ticks with numbers of {' and '.join(f'`{name}`' for name in names)}"
         warnings.warn(f"the controller predicted in their place in {of} (another unit, or jumps?)", stacklevel=2)
     return before, after
+
+
+def ticks_reproduced(
+    log: logs.Log, config: rust.Config, path: Path, computed: Mapping[str, Array], seed: int = 0
+) -> int:
+    """Return in how many ticks what the controller computes is that of the log, whatever its last digits are.
+
+    From then on a second replay, with every measurement changed by about a rounding of the log, has other torques: the
+    controller's own memory does not reproduce, and a difference from the log says nothing of the log.
+    """
+    steps = int(rust.resolve_config(config)["controller"]["torque"]["steps"])
+    needed = () if config["controller"].get("estimator") else ("raw_joint_velocity",)
+    recorded, is_recorded = measured.of_controller(log, config, path, also=needed)
+    raw, rng = [name for name in recorded if name.startswith("raw_")], np.random.default_rng(seed)
+    # A rotation of few digits has been replaced by the nearest one.
+    read = [recorded[name] for name in raw if name != "raw_base_rotation"]
+    is_single = all(np.array_equal(rows, rows.astype(np.float32), equal_nan=True) for rows in read)
+    rounding = np.finfo(np.float32 if is_single else np.float64).eps
+    near = {name: recorded[name] * (1.0 + rounding * rng.normal(size=recorded[name].shape)) for name in raw}
+    torque = rust.replay(config, {**recorded, **near})["joint_torque"][is_recorded[::steps]]
+    own = computed["joint_torque"]
+    apart = np.abs(torque - own).max(axis=1, initial=0.0) > REPRODUCED * np.abs(own).max(initial=0.0)
+    return max(int(np.argmax([*apart, True])), 1)
 
 
 def refused(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> dict[tuple[str, ...], int]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -833,3 +835,27 @@ def test_messages_are_in_the_order_of_their_times(tmp_path):
     columns, config, _ = read_mcap(tmp_path / "log.mcap", is_ours=False)
     assert config is None
     assert [part.tolist() for part in columns["/state/n"]] == [[0.0, 10.0, 20.0], [10.0, 20.0, 30.0]]
+
+
+@pytest.mark.parametrize("joint_observer", [0.02, 0.05])
+def test_from_when_a_controllers_own_memory_does_not_reproduce_nothing_is_compared(joint_observer, tmp_path, capsys):
+    """Of iRonCub-Mk3's log in single precision: with 0.02 s the controller's copy parts from it."""
+    config = rust.load_config(
+        "mk3_robot", {"simulator.duration": 8.0, "controller.estimator.joint_observer": joint_observer}
+    )
+    flight = rust.fly(config)
+    single = {name: rows.astype(np.float32).astype(np.float64) for name, rows in flight.log.items()}
+    single["time"] = flight.log["time"]
+    dataset = record.to_dataset(
+        replace(flight, log=single), rust.Robot(config["robot"]), title="", config_digest=rust.config_digest(config)
+    )
+    record.write_run(tmp_path / "single", dataset, {"title": "", "config": manifest.make_portable(config)})
+    status, printed, _ = run(capsys, "replay", tmp_path / "single")
+    assert status == 1
+    told = re.search(r"not compared from (\S+) s on: the controller's own memory does not reproduce", printed)
+    greatest = float(re.search(r"^joint_torque +(\S+)", printed, re.M)[1])
+    if joint_observer == 0.02:
+        assert 2.0 < float(told[1]) < 8.0
+    else:
+        assert told is None
+    assert greatest < 0.2
