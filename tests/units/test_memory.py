@@ -11,6 +11,14 @@ from jax_aero.base import places
 STANDING = {"robot_take_off", "mk3_robot_take_off"}
 """Controllers whose copy parts from them while their feet carry: a list that only shrinks. None does so in the air."""
 
+ELSEWHERE = {
+    "robot_take_off": "robot",
+    "mk3_robot_take_off": "mk3_robot",
+    "robot_ideal": "test2",
+    "mk3_robot_ideal": "mk3_test2",
+}
+"""Flights of controllers with feet in the air, and of those without an experiment."""
+
 TORQUE = 1e-6
 """Greatest difference of the torques of a controller and its copy [N m]."""
 
@@ -19,16 +27,15 @@ CHOICES: dict[str, str] = {}
 
 
 def shipped():
-    """Return a flight for every controller and robot of the experiments, those with feet in the air too."""
+    """Return a flight for every controller and robot of the experiments, and what else flies it."""
     found = {}
     for name in places.names("experiments"):
         config = rust.load_config(name)
         key = json.dumps([config["robot"], config["controller"]], sort_keys=True, default=str)
         found.setdefault(key, (name, config))
     flights = dict(found.values())
-    for name in STANDING:
-        flown = rust.load_config(name.removesuffix("_take_off"))
-        flights[f"{name} in the air"] = {**flown, "controller": rust.load_controller(name)}
+    for name, flight in ELSEWHERE.items():
+        flights[f"{name} in {flight}"] = {**rust.load_config(flight), "controller": rust.load_controller(name)}
     return flights
 
 
@@ -49,7 +56,7 @@ def test_a_shipped_controller_keeps_its_copy(name):
     assert found.stays == (name not in STANDING), found
 
 
-@pytest.mark.parametrize("name", [name for name in SHIPPED if "balancing" not in name])
+@pytest.mark.parametrize("name", SHIPPED)
 def test_a_flight_replayed_from_rounded_measurements_has_its_torques(name):
     """To its end, every measurement times 1 + 1e-15 N(0, 1): none of a robot that hovers is an exception."""
     config, rng = SHIPPED[name], np.random.default_rng(0)
