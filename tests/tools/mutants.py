@@ -13,7 +13,6 @@ import json
 import os
 import random
 import re
-import shutil
 import subprocess
 import sys
 import time
@@ -152,7 +151,7 @@ def draw(seed: str, folder: str) -> list[Mutant]:
 def write(chosen: dict[int, Mutant]) -> dict[tuple[str, int], int]:
     """Write the sources with these mutants; return the mutant of each of their lines that has one."""
     of_line: dict[tuple[str, int], int] = {}
-    for file in {mutant.file for mutant in chosen.values()} | {"lib.rs"}:
+    for file in (str(path.relative_to(HOME / SOURCES)) for path in (HOME / SOURCES).rglob("*.rs")):
         text = (HOME / SOURCES / file).read_text(encoding="utf-8")
         of_body: dict[tuple[int, int], list[tuple[int, str]]] = {}
         for place, mutant in chosen.items():
@@ -169,6 +168,7 @@ def write(chosen: dict[int, Mutant]) -> dict[tuple[str, int], int]:
         out += text[last:] + (SWITCH if file == "lib.rs" else "")
         to = COPY / SOURCES / file
         if not to.exists() or to.read_text(encoding="utf-8") != out:
+            to.parent.mkdir(parents=True, exist_ok=True)
             to.write_text(out, encoding="utf-8")
         of_line |= {(file, line): place for first, end, place in spans for line in range(first, end + 1)}
     return of_line
@@ -207,37 +207,53 @@ def compile_tests(chosen: dict[int, Mutant]) -> dict[str, list[str]]:
 def failure(binary: str, package: str, mutant: int, only: Sequence[str] = ()) -> str | None:
     """Return the first test that fails, or what else ended the binary."""
     env = os.environ | {"MUTANT": str(mutant), "RUST_BACKTRACE": "0"}
-    folder = COPY / "rust" / package.removeprefix("flight-")
-    run = subprocess.Popen(
-        [binary, *only], cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    assert run.stdout is not None
-    os.set_blocking(run.stdout.fileno(), False)
-    begin, rest, found = time.monotonic(), "", None
-    while found is None:
-        ended, rest = run.poll() is not None, rest + (run.stdout.read() or "")
-        failed = re.search(r"test (\S+) \.\.\. (?:.*\n)?.*FAILED|thread '([\w:]+)' .*panicked", rest)
-        if failed:
-            found = failed[1] or failed[2]
-        elif ended:
-            found = f"status {run.returncode}" if run.returncode else ""
-        elif time.monotonic() - begin > LONGEST:
-            found = "no end"
-        time.sleep(0.05)
-    run.kill()
-    run.wait()
+    folder, said = COPY / "rust" / package.removeprefix("flight-"), COPY / "said.txt"
+    with said.open("w", encoding="utf-8") as file:
+        run = subprocess.Popen([binary, *only], cwd=folder, env=env, stdout=file, stderr=subprocess.STDOUT)
+        begin, found = time.monotonic(), None
+        while found is None:
+            time.sleep(0.05)
+            ended, text = run.poll() is not None, said.read_text(encoding="utf-8", errors="replace")
+            if failed := re.search(r"^test (\S+) .*FAILED$", text, re.MULTILINE):
+                found = failed[1]
+            elif ended:
+                found = f"status {run.returncode}" if run.returncode else ""
+            elif time.monotonic() - begin > LONGEST:
+                found = "no end"
+        run.kill()
+        run.wait()
     return found or None
 
 
-def judge(binaries: dict[str, list[str]], place: int, mutant: Mutant) -> str | None:
-    """Return the test that finds a mutant; those of its module's name run first."""
-    stem = Path(mutant.file).stem
-    for package in PACKAGES:
-        for only in ([f"{stem}::"], []) if package == "flight-core" else ([],):
-            for binary in binaries[package]:
-                if found := failure(binary, package, place, only):
-                    return f"{package} {found}"
+def judge(binaries: dict[str, list[str]], place: int, mutant: Mutant, *, quickly: bool) -> str | None:
+    """Return the test that finds a mutant: of those of its module's and folders' names, or of all."""
+    near = [f"{part}::" for part in Path(mutant.file).with_suffix("").parts]
+    for package in PACKAGES[:1] if quickly else PACKAGES:
+        for binary in binaries[package]:
+            if found := failure(binary, package, place, near if quickly else []):
+                return f"{package} {found}"
     return None
+
+
+def copy_if_changed(source: Path, to: Path) -> None:
+    """Copy a file whose text is another one, so that cargo compiles nothing else again."""
+    content = source.read_bytes()
+    if not to.exists() or to.read_bytes() != content:
+        to.parent.mkdir(parents=True, exist_ok=True)
+        to.write_bytes(content)
+
+
+def synchronise() -> None:
+    """Copy what is compiled, without the sources that have mutants."""
+    for path in (HOME / "rust").rglob("*"):
+        place = path.relative_to(HOME)
+        if path.is_file() and "node_modules" not in place.parts and not place.is_relative_to(SOURCES):
+            copy_if_changed(path, COPY / place)
+    for name in ("Cargo.toml", "Cargo.lock", "rustfmt.toml", "clippy.toml"):
+        copy_if_changed(HOME / name, COPY / name)
+    for name in ("configs", "tests", "jax_aero", "docs"):
+        if not (COPY / name).exists():
+            (COPY / name).symlink_to(HOME / name)
 
 
 def main() -> None:
@@ -253,26 +269,22 @@ def main() -> None:
     given = parser.parse_args()
     drawn = draw(given.seed, given.folder)
     named = [mutant for mutant in drawn if f"{mutant.file}:{mutant.line}" in given.at]
-    shutil.copytree(HOME / "rust", COPY / "rust", dirs_exist_ok=True, ignore=shutil.ignore_patterns("node_modules"))
-    for name in ("Cargo.toml", "Cargo.lock", "rustfmt.toml", "clippy.toml"):
-        shutil.copy2(HOME / name, COPY / name)
-    for name in ("configs", "tests", "jax_aero", "docs"):
-        if not (COPY / name).exists():
-            (COPY / name).symlink_to(HOME / name)
+    synchronise()
     chosen = dict(enumerate([*named, *drawn[: 2 * given.count]], start=1))
     binaries = compile_tests(chosen)
-    if wrong := [
-        found for found in (failure(of, package, 0) for package in PACKAGES for of in binaries[package]) if found
-    ]:
+    if wrong := [found for of in PACKAGES for each in binaries[of] if (found := failure(each, of, 0))]:
         sys.exit(f"without a mutant: {wrong}")
-    rows = []
     first = sum(place <= len(named) for place in chosen)
-    for place, mutant in list(chosen.items())[: first + given.count]:
-        found = judge(binaries, place, mutant)
-        rows.append(
-            {"file": mutant.file, "line": mutant.line, "before": mutant.before, "after": mutant.after, "found": found}
-        )
-        print(f"{mutant.file}:{mutant.line}  {mutant.before}  ->  {mutant.after}:  {found or 'SURVIVES'}", flush=True)
+    judged: dict[int, str | None] = {}
+    for quickly in (True, False):
+        for place, mutant in list(chosen.items())[: first + given.count]:
+            if judged.get(place) is None:
+                found = judged[place] = judge(binaries, place, mutant, quickly=quickly)
+                if found or not quickly:
+                    words = f"{mutant.file}:{mutant.line}  {mutant.before}  ->  {mutant.after}"
+                    print(f"{place:3} {words}:  {found or 'SURVIVES'}", flush=True)
+    names = ("file", "line", "before", "after")
+    rows = [{n: getattr(chosen[at], n) for n in names} | {"found": found} for at, found in judged.items()]
     survived = sum(row["found"] is None for row in rows)
     (HOME / "target" / "mutants.json").write_text(json.dumps({"seed": given.seed, "mutants": rows}, indent=1) + "\n")
     print(f"{len(rows)} drawn by {given.seed}: {len(rows) - survived} found, {survived} survive")
