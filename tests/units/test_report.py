@@ -291,8 +291,12 @@ def test_measures_of_a_flight_are_those_of_its_log(results, make_flight, agree):
     found, log = results.flights["test2"], make_flight().log
     settled = log["time"] >= 3.0
     assert found.ending == "completed"
-    errors = np.degrees(np.abs(log["joint_position"] - 0.2).sum(axis=1))
-    agree("joint error", found.joint_errors, (errors.max(), errors[log["time"] >= log["time"][-1] - 3.0].mean()), 1e-12)
+    groups, is_late = found.run["joint_group"].values, log["time"] >= log["time"][-1] - 3.0
+    assert {*found.joint_errors} == {str(group).replace("_", " ") for group in groups}
+    for part, most_and_end in found.joint_errors.items():
+        own = groups == part.replace(" ", "_")
+        errors = np.degrees(np.abs(log["joint_position"] - 0.2)[:, own].sum(axis=1))
+        agree("joint error", most_and_end, (errors.max(), errors[is_late].mean()), 1e-12)
     agree("thrust asymmetry", found.asymmetry[0], np.abs(log["thrust"][settled] @ [1, -1, 0, 0]).max(), 1e-12)
     early, apart = found.is_windy & (log["time"] < 35.0), found.forces_apart
     simulated = np.linalg.norm(log["aero_force_sim"].sum(axis=1), axis=1)
