@@ -7,6 +7,7 @@ import pytest
 
 from jax_aero import backends, memory, rust
 from jax_aero.base import places
+from jax_aero.verify import flight as verified
 
 STANDING = {"robot_take_off", "mk3_robot_take_off"}
 """Controllers whose copy parts from them while their feet carry: a list that only shrinks. None does so in the air."""
@@ -70,6 +71,16 @@ def test_a_flight_replayed_from_rounded_measurements_has_its_torques(name):
     if name not in STANDING:
         assert modes == [CHOICES[name]] if name in CHOICES else not modes
     assert (apart <= TORQUE) == (name not in STANDING), apart
+
+
+@pytest.mark.parametrize("name", ["mk3_robot", "mk3_design"])
+def test_verify_can_compare_every_tick_with_each_side_keeping_its_own_memory(name):
+    """To the end: no detector acts, and the crate's own replay from rounded measurements is the flight."""
+    config = rust.load_config(name)
+    crate = rust.fly(config)
+    replayed = verified._replay_rounded(config, crate)
+    assert verified.ticks_unguarded(crate) == len(crate["time"])
+    assert verified.ticks_reproducible(crate, replayed) == len(crate["time"])
 
 
 @pytest.mark.parametrize(
