@@ -104,7 +104,7 @@ class Controller:
         wind: _Array,
         foot_wrenches: _Array | None = None,
         shaft_speed: _Array | None = None,
-        height: float | None = None,
+        height: float = ...,
     ) -> None: ...
     def tick(
         self,
@@ -118,7 +118,7 @@ class Controller:
         wind_ahead: _Array | None = None,
         residual: tuple[_Array, _Array, bool] | None = None,
         shaft_speed: _Array | None = None,
-        height: float | None = None,
+        height: float = ...,
     ) -> dict[str, Any]: ...
     def tick_torques(self, joint_position: _Array, joint_velocity: _Array) -> tuple[_Array, list[str]]: ...
     def replace_command(self, thrust_rate: _Array, joint_torque: _Array) -> None: ...
@@ -131,7 +131,7 @@ class _Measurement(TypedDict):
     wind: _Array
     foot_wrenches: _Array
     shaft_speed: _Array
-    height: float | None
+    height: float
 
 class _World(Protocol):
     def observe(self) -> tuple[Any, ...]: ...
@@ -156,7 +156,7 @@ class Flight:
         setpoint: Mapping[str, _Array] | None = None,
         residual: tuple[_Array, _Array, bool] | None = None,
         command: tuple[_Array, _Array] | None = None,
-        measurement: tuple[_State, _Array, _Array, _Array, _Array, float | None] | None = None,
+        measurement: tuple[_State, _Array, _Array, _Array, _Array, float] | None = None,
         link_forces: _Array | None = None,
     ) -> bool: ...
     def last_tick(self) -> dict[str, Any]: ...

@@ -222,7 +222,7 @@ class Measurement(NamedTuple):
         Speed of the shaft of every jet, a share of the full speed; NaN where it is not measured.
     height
         Height of the base origin above that on the ground on which the robot is to land, in the posture in which the
-        flight begins [m]; `None` where it is not measured, and of the true robot.
+        flight begins [m]; NaN where it is not measured, and of the true robot.
     setpoint
         What a controller of one's own is to follow; `None` elsewhere.
     """
@@ -233,7 +233,7 @@ class Measurement(NamedTuple):
     wind: Array
     foot_wrenches: Array
     shaft_speed: Array
-    height: float | None = None
+    height: float = math.nan
     setpoint: Setpoint | None = None
 
 
@@ -502,7 +502,7 @@ class Controller:
         time: float = 0.0,
         foot_wrenches: ArrayLike | None = None,
         shaft_speed: ArrayLike | None = None,
-        height: float | None = None,
+        height: float = math.nan,
     ) -> ControllerState:
         """Begin a flight with a measurement, without computing a tick. Parameters are those of `tick`.
 
@@ -529,7 +529,7 @@ class Controller:
         preview: Preview | None = None,
         residual: Residual | None = None,
         shaft_speed: ArrayLike | None = None,
-        height: float | None = None,
+        height: float = math.nan,
     ) -> Tick:
         """Compute one tick.
 

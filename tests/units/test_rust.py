@@ -444,12 +444,38 @@ def test_a_measurement_may_have_a_height_and_speeds_of_shafts_in_place_of_thrust
         seen = flight.measurement
         assert np.isnan(seen.thrust).all()
         assert np.array_equal(seen.shaft_speed, whole["raw_shaft_speed"][tick])
-        np.testing.assert_array_equal(np.nan if seen.height is None else seen.height, whole["raw_height"][tick])
+        np.testing.assert_array_equal(seen.height, whole["raw_height"][tick])
         given = {"shaft_speed": seen.shaft_speed, "height": seen.height}
         asked = controller.tick(seen.state, seen.thrust, seen.wind, seen.time, **given)
         assert flight.step(measurement=seen)
         assert np.array_equal(asked.thrust_rate, whole["thrust_rate"][tick]) or tick > 0
         assert np.array_equal(flight.last.joint_torque, whole["joint_torque"][tick])
+
+
+@pytest.mark.parametrize("part", ["thrust", "wind", "foot_wrenches", "shaft_speed", "link_forces", "command"])
+def test_a_refused_step_changes_nothing(part):
+    """Of a measurement with one part of a wrong size nothing is used: the flight goes on to the same bits."""
+    config = rust.load_config("test2", {"simulator.duration": 0.2})
+    flight, other = rust.Flight(config), rust.Flight(config)
+    for _ in range(3):
+        assert flight.step()
+        assert other.step()
+    seen = flight.measurement
+    wrong = seen._replace(thrust=seen.thrust + 30.0, wind=seen.wind + 5.0, height=2.0)
+    beside = {}
+    if part == "link_forces":
+        beside = {part: np.zeros((2, 3))}
+    elif part == "command":
+        beside = {part: (np.full(4, 1e12), np.zeros(23))}
+    else:
+        wrong = wrong._replace(**{part: np.zeros((7, 7))})
+    with pytest.raises(ValueError, match=r"."):
+        flight.step(measurement=wrong, **beside)
+    for _ in range(5):
+        assert flight.step()
+        assert other.step()
+        assert np.array_equal(flight.last.joint_torque, other.last.joint_torque)
+        assert np.array_equal(flight.last.thrust_rate, other.last.thrust_rate)
 
 
 def test_a_height_above_another_ground_is_measured():

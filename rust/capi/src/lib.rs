@@ -137,8 +137,8 @@ pub struct FlightMeasurement {
     /// controller with `controller.shaft` reads them: the thrust follows from the speed.
     pub shaft_speed: *const f64,
     /// Height of the base origin above that on the ground on which the robot is to land, in the posture in which the flight
-    /// begins [m]; NaN or null where it is not measured.
-    pub height: *const f64,
+    /// begins [m]; NaN where it is not measured.
+    pub height: f64,
 }
 
 /// Set-point of a tick, for programs with their own planner.
@@ -269,9 +269,7 @@ impl FlightController {
             copy_in(given.joint_velocity, &mut velocity[6..]);
             copy_in(given.thrust, thrust);
         }
-        (*time, *wind) = (given.time, Vector3::from(given.wind));
-        // SAFETY: null or one number by this function's contract.
-        *height = unsafe { given.height.as_ref() }.copied();
+        (*time, *wind, *height) = (given.time, Vector3::from(given.wind), given.height);
         if given.shaft_speed.is_null() {
             shaft_speed.fill(f64::NAN);
         } else {
@@ -647,7 +645,8 @@ pub unsafe extern "C" fn flight_throttle(controller: *const FlightController, in
 }
 
 /// Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
-/// reference. Only the wind may be NaN, and joint velocities that need not be measured. If no flight can start with it,
+/// reference. Only wind, height and speeds of shafts may be NaN, thrusts of jets whose speed is measured, and joint
+/// velocities that need not be measured; in later ticks any number may be, where it is not measured. If no flight can start with it,
 /// the present one continues, and `message`, unless null, contains the reason in at most `message_size` bytes, the last
 /// of which is zero. Allocates, so call it before the control loop.
 ///
@@ -859,7 +858,9 @@ pub unsafe extern "C" fn flight_robot_free(robot: *mut FlightRobot) {
     }
 }
 
-/// Measures every field, with arrays of the robot, which are valid until the next call for it.
+/// Measures a simulated robot exactly: time, pose and velocity of the base, joints, thrusts and wind, with arrays of the
+/// robot, which are valid until the next call for it. It has no other sensors: `foot_wrenches` and `shaft_speed` are null,
+/// `height` is NaN.
 ///
 /// # Safety
 /// `robot` comes from `flight_robot_create`, or is null; `measurement` has space for one, or is null.
@@ -888,7 +889,7 @@ pub unsafe extern "C" fn flight_robot_measure(
             wind: robot.wind.velocity(time).into(),
             foot_wrenches: null(),
             shaft_speed: null(),
-            height: null(),
+            height: f64::NAN,
         };
         // SAFETY: space for a measurement, by this function's contract.
         unsafe { measurement.write(measured) };

@@ -119,7 +119,7 @@ impl Arrays {
             wind: [0.0; 3],
             foot_wrenches: null(),
             shaft_speed: null(),
-            height: null(),
+            height: f64::NAN,
         }
     }
 

@@ -46,34 +46,35 @@ fn a_height_is_measured_predicted_or_stepped() {
     let mut rig = Rig::new(with_jumps());
     rig.acting.acceleration.fill(0.0);
     let climb = rig.sample.state.velocity[2];
-    let tick = |rig: &mut Rig, height: Option<f64>| {
+    let tick = |rig: &mut Rig, height: f64| {
         let used = rig.tick(|sample| sample.height = height);
         let (found, is_held) = (used.robot.height, used.modes.contains(Modes::GROUND_HELD));
-        (found, rig.channels.new_height(&rig.state, &rig.used), is_held)
+        ((!found.is_nan()).then_some(found), rig.channels.new_height(&rig.state, &rig.used), is_held)
     };
-    assert_eq!(tick(&mut rig, None), (None, None, false), "a robot need not measure it");
-    assert_eq!(tick(&mut rig, Some(f64::NAN)), (None, None, false));
+    for none in [f64::NAN, f64::INFINITY, 2e6] {
+        assert_eq!(tick(&mut rig, none), (None, None, false), "a robot need not measure it");
+    }
     let mut height = 4.0;
     for _ in 0..6 {
         height += STEP * climb;
-        assert_eq!(tick(&mut rig, Some(height)), (Some(height), Some(height), false));
+        assert_eq!(tick(&mut rig, height), (Some(height), Some(height), false));
     }
-    for (spoilt, held) in [(None, false), (Some(f64::NAN), false), (Some(height + 5.0), false)] {
+    for (spoilt, held) in [(f64::NAN, false), (f64::INFINITY, false), (height + 5.0, false)] {
         let (found, new, is_held) = tick(&mut rig, spoilt);
         height += STEP * climb;
         assert_within!((found.unwrap() - height).abs(), 1e-12);
         assert_eq!((new, is_held), (None, held));
     }
     height += STEP * climb;
-    assert_eq!(tick(&mut rig, Some(height)).1, Some(height), "it is measured again");
-    assert_eq!(tick(&mut rig, Some(height)), (Some(height), None, false), "the same bits are not new");
+    assert_eq!(tick(&mut rig, height).1, Some(height), "it is measured again");
+    assert_eq!(tick(&mut rig, height), (Some(height), None, false), "the same bits are not new");
     let ticks = (0..40).find(|_| {
         height += STEP * climb;
-        tick(&mut rig, Some(height + 0.5 + STEP * climb)).1.is_some()
+        tick(&mut rig, height + 0.5 + STEP * climb).1.is_some()
     });
     assert_eq!(ticks, Some(7), "of seven measurements before");
     for tick_without in 1..20 {
-        let (_, new, is_held) = tick(&mut rig, None);
+        let (_, new, is_held) = tick(&mut rig, f64::NAN);
         assert_eq!(new, None);
         assert!(is_held == (tick_without > 15) || tick_without == 15, "{tick_without}");
     }
@@ -88,11 +89,11 @@ fn a_frozen_height_is_not_used() {
     rig.sample.state.velocity[2] += 0.15_f64.copysign(climb);
     let mut is_used = Vec::new();
     for _ in 0..10 {
-        is_used.push(rig.tick(|sample| sample.height = Some(2.0)).robot.height == Some(2.0));
+        is_used.push(rig.tick(|sample| sample.height = 2.0).robot.height == 2.0);
     }
     assert!(is_used[..5].iter().all(|is_used| *is_used) && !is_used[9], "{is_used:?}");
-    let moved = rig.used.robot.height.unwrap() + 0.01;
-    rig.tick(|sample| sample.height = Some(moved));
+    let moved = rig.used.robot.height + 0.01;
+    rig.tick(|sample| sample.height = moved);
     assert_eq!(rig.channels.new_height(&rig.state, &rig.used), Some(moved));
 }
 

@@ -16,6 +16,7 @@ use flight_core::control::limits::JointCondition;
 use flight_core::control::{BadCommand, Modes};
 use flight_core::jets::JetDynamics;
 use flight_core::qp::QpStatus;
+use flight_core::spatial::{Pose, axis_angle};
 use flight_core::{Command, Measurement, RobotState};
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::{Plant, ScenarioConfig};
@@ -626,6 +627,32 @@ fn a_flight_that_begins_again_plans_anew() {
         (modes.contains(Modes::BEGUN_AGAIN), is_new)
     });
     assert_eq!(planned, [(false, true), (false, false), (false, true), (true, true), (false, false)]);
+}
+
+/// Where a flight begins again the ground is that of this tick's height, for the robot upright, however it leans; without a
+/// height it is not known.
+#[test]
+fn a_flight_that_begins_again_keeps_its_height_and_stands_upright() {
+    let config = experiment("test2_mpc");
+    let lean = axis_angle(&Vector3::y(), 0.4);
+    let ground = |height: f64| {
+        let mut first = Measurement::start(&config);
+        first.state.base.rotation = lean * first.state.base.rotation;
+        let mut controller = controller(&config);
+        for (tick, error) in [5.0, 9.0, 0.0, 0.0].into_iter().enumerate() {
+            let mut sample = Measurement { time: TIME_STEP * tick as f64, ..first.clone() };
+            sample.state.base.position.x += error + 1e-6 * tick as f64;
+            sample.height = if tick == 3 { height } else { f64::NAN };
+            sample.tick(&mut controller);
+        }
+        assert!(controller.command().modes.contains(Modes::BEGUN_AGAIN));
+        let Pose { position, rotation } = first.state.base;
+        let stance = (rotation.transpose() * (controller.terms().kinematics.com - position)).z;
+        (controller.state().ground(), position.z + stance)
+    };
+    let (found, level) = ground(1.25);
+    assert_within!((found - (level - 1.25)).abs(), 1e-6);
+    assert_eq!(ground(f64::NAN).0, f64::NEG_INFINITY);
 }
 
 /// What is not configured is not there: a state has no part of it, and is none of a controller with it, nor the other way

@@ -111,7 +111,7 @@ impl Controller {
     }
 
     /// Start a flight: position, attitude and posture of this measurement become the reference.
-    #[pyo3(signature = (time, state, thrust, wind, foot_wrenches = None, shaft_speed = None, height = None))]
+    #[pyo3(signature = (time, state, thrust, wind, foot_wrenches = None, shaft_speed = None, height = f64::NAN))]
     #[allow(clippy::too_many_arguments)]
     fn start(
         &mut self,
@@ -121,7 +121,7 @@ impl Controller {
         wind: Input<'_>,
         foot_wrenches: Option<Input<'_>>,
         shaft_speed: Option<Input<'_>>,
-        height: Option<f64>,
+        height: f64,
     ) -> PyResult<()> {
         let measured =
             self.read_measurement(time, &state, (&thrust, shaft_speed), &wind, foot_wrenches, height)?;
@@ -136,7 +136,7 @@ impl Controller {
     /// rates, joint velocities, and whether they replace the answer of the law; then the mission is followed.
     #[pyo3(signature = (
         time, state, thrust, wind, setpoint = None, foot_wrenches = None, setpoints_ahead = vec![], wind_ahead = None,
-        residual = None, shaft_speed = None, height = None
+        residual = None, shaft_speed = None, height = f64::NAN
     ))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
@@ -152,7 +152,7 @@ impl Controller {
         wind_ahead: Option<Input<'py>>,
         residual: Option<(Input<'py>, Input<'py>, bool)>,
         shaft_speed: Option<Input<'py>>,
-        height: Option<f64>,
+        height: f64,
     ) -> PyResult<Bound<'py, PyDict>> {
         let setpoint = setpoint.map(setpoint_from_dict).transpose()?;
         let later = |(time, given): &(f64, Bound<'py, PyDict>)| Ok((*time, setpoint_from_dict(given)?));
@@ -287,7 +287,7 @@ impl Controller {
         (thrust, shaft_speed): (&Input<'_>, Option<Input<'_>>),
         wind: &Input<'_>,
         foot_wrenches: Option<Input<'_>>,
-        height: Option<f64>,
+        height: f64,
     ) -> PyResult<Measurement> {
         let jets = [self.controller.n_jets()];
         let shaft_speed = shaft_speed.map(|speed| entries("shaft_speed", &speed, &jets)).transpose()?;

@@ -124,7 +124,7 @@ impl Flight {
         (truth.state, truth.wind) = (plant.state().clone(), *wind);
         truth.thrust.copy_from_slice(plant.jets().thrust_feedback());
         truth.shaft_speed.fill(f64::NAN);
-        truth.height = None;
+        truth.height = f64::NAN;
         let out = measurement_dict(py, &truth)?;
         self.check_world()?;
         Ok(out)
@@ -161,7 +161,7 @@ impl Flight {
         setpoint: Option<&Bound<'_, PyDict>>,
         residual: Option<(Input<'_>, Input<'_>, bool)>,
         command: Option<(Input<'_>, Input<'_>)>,
-        measurement: Option<(StateInput<'_>, Input<'_>, Input<'_>, Input<'_>, Input<'_>, Option<f64>)>,
+        measurement: Option<(StateInput<'_>, Input<'_>, Input<'_>, Input<'_>, Input<'_>, f64)>,
         link_forces: Option<Input<'_>>,
     ) -> PyResult<bool> {
         let RobotModel { joints, jets, aero_links, .. } = self.flight.robot();
@@ -182,16 +182,30 @@ impl Flight {
             PyResult::Ok((rate, finite_entries("joint_torque", &torque, &[joints])?))
         });
         let command = command.transpose()?;
+        let link_forces =
+            link_forces.map(|forces| finite_entries("link_forces", &forces, &[links, 3])).transpose()?;
+        if let Some((rate, torque)) = &command {
+            self.flight.controller().check_command(rate, torque).map_err(plain_error)?;
+        }
+        // All that is given is read and checked before any of it is taken: a refused call changes nothing.
         if let Some((state, thrust, wind, feet, speed, height)) = measurement {
-            let (state, thrust) = (measured_state(joints, &state)?, entries("thrust", &thrust, &[jets])?);
-            let (wind, sample) = (vector3("wind", &wind)?, self.flight.sample_mut());
-            let feet = entries("foot_wrenches", &feet, &[sample.foot_wrenches.len() / 6, 6])?;
-            (sample.state, sample.thrust, sample.wind, sample.height) = (state, thrust, wind, height);
-            sample.shaft_speed = entries("shaft_speed", &speed, &[jets])?;
-            sample.foot_wrenches = DVector::from_vec(feet);
+            let sample = self.flight.sample_mut();
+            let read = Measurement {
+                time: sample.time,
+                state: measured_state(joints, &state)?,
+                thrust: entries("thrust", &thrust, &[jets])?,
+                shaft_speed: entries("shaft_speed", &speed, &[jets])?,
+                wind: vector3("wind", &wind)?,
+                foot_wrenches: DVector::from_vec(entries(
+                    "foot_wrenches",
+                    &feet,
+                    &[sample.foot_wrenches.len() / 6, 6],
+                )?),
+                height,
+            };
+            *sample = read;
         }
         if let Some(forces) = link_forces {
-            let forces = finite_entries("link_forces", &forces, &[links, 3])?;
             let forces = forces.chunks_exact(3).map(Vector3::from_column_slice).collect();
             self.flight.truth();
             self.flight.replace_link_forces(Some(forces)).map_err(value_error)?;

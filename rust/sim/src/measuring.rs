@@ -99,7 +99,7 @@ impl Measuring {
         self.sample.state.copy_from(state);
         self.sample.thrust.copy_from_slice(thrust);
         if let Some(sensors) = &mut self.sensors {
-            self.sample.height = Some(state.base.position.z - self.standing);
+            self.sample.height = state.base.position.z - self.standing;
             sensors.read(&mut self.sample);
         }
         self.outages.spoil(time, &mut self.sample);

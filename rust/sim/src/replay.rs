@@ -75,7 +75,7 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
         (measurement.thrust, measurement.shaft_speed) =
             (read("raw_thrust", jets), read("raw_shaft_speed", jets));
         measurement.wind = Vector3::from_column_slice(&read("raw_wind", 3));
-        measurement.height = numbers("raw_height").first().copied();
+        measurement.height = numbers("raw_height").first().copied().unwrap_or(f64::NAN);
         let state = match &mut state {
             Some(state) => state,
             none => {

@@ -341,11 +341,11 @@ impl Sensors {
         }
         sample.state.copy_from(&reading.state);
         sample.thrust.copy_from_slice(&reading.thrust);
-        sample.height = config.height.as_ref().and_then(|sensor| {
+        sample.height = config.height.as_ref().map_or(f64::NAN, |sensor| {
             let is_due = readings.is_multiple_of(age(sensor.period, *time_step).max(1));
             let is_there = is_due && self.noise_of_height.uniform() >= sensor.gaps;
             let error = sensor.bias + sensor.noise_std * self.noise_of_height.normal();
-            then(sensor.delay).height.filter(|_| is_there).map(|height| height + error)
+            if is_there { then(sensor.delay).height + error } else { f64::NAN }
         });
         self.readings = self.readings.saturating_add(1);
     }

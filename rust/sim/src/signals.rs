@@ -348,7 +348,7 @@ pub static SIGNALS: &[Signal] = &[
         TIME,
         "m",
         "height of the base origin in that measurement, above that on the ground",
-        |row, out| out.push(row.measurement.height.unwrap_or(f64::NAN)),
+        |row, out| out.push(row.measurement.height),
     ),
     tick("qp_status", QP, "1", "outcome of each QP", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));

@@ -64,7 +64,7 @@ pub struct ControllerState {
     /// Height of the centre of mass at touch-down \[m\]: that at the first tick, until a height above the ground is measured;
     /// `−∞` where neither is known, after a flight that began again.
     pub(super) ground: f64,
-    /// Height of the centre of mass above the base origin at the first tick \[m\].
+    /// Height of the centre of mass above the base origin in the posture of the first tick, upright \[m\].
     pub(super) stance: f64,
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
     pub(super) inertia_0_b: Matrix3<f64>,
@@ -117,6 +117,12 @@ impl ControllerState {
     #[must_use]
     pub fn contact(&self) -> &ContactState {
         &self.contact
+    }
+
+    /// Height of the centre of mass at touch-down \[m\]; `−∞` where it is not known.
+    #[must_use]
+    pub fn ground(&self) -> f64 {
+        self.ground
     }
 
     /// Reference posture `s_d` \[rad\].

@@ -123,7 +123,7 @@ impl Controller {
             setpoint: law.generator().start(com, &robot.base.rotation),
             posture: robot.joint_position.clone(),
             ground: com.z,
-            stance: com.z - robot.base.position.z,
+            stance: stance(&com, robot),
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
@@ -160,6 +160,7 @@ impl Controller {
         if state.estimate.modes.contains(Modes::BEGUN_AGAIN) {
             begin_again(&self.model, self.law.generator(), state, &mut self.terms);
         }
+        self.find_ground(state);
         let is_valid = self.law.choose_setpoint(state, given.setpoint, &mut self.terms);
         let (preview, has_valid_preview) = given.preview.checked();
         let Self { model, aero, conventions, feedback, .. } = self;
@@ -362,6 +363,11 @@ fn reference(
     inertia.iter().chain(&com).all(|x| x.is_finite()).then_some((com, inertia))
 }
 
+/// Height of the centre of mass above the base origin of the robot in its posture, upright \[m\]: it may lean.
+fn stance(com: &Vector3<f64>, robot: &RobotState) -> f64 {
+    robot.base.rotation.column(2).dot(&(com - robot.base.position))
+}
+
 /// Takes the measurement of this tick for the reference of the flight, as [`Controller::start`] does (M141).
 fn begin_again(
     model: &RobotModel,
@@ -374,7 +380,7 @@ fn begin_again(
     if let Some((com, inertia_0_b)) = reference(model, robot, kinematics, dynamics) {
         state.setpoint = generator.start(com, &robot.base.rotation);
         state.posture.copy_from(&robot.joint_position);
-        (state.ground, state.stance) = (f64::NEG_INFINITY, com.z - robot.base.position.z);
+        (state.ground, state.stance) = (f64::NEG_INFINITY, stance(&com, robot));
         state.inertia_0_b = inertia_0_b;
         state.velocity_error_integral.fill(0.0);
         state.torque_is_known = false;

@@ -10,6 +10,7 @@ use flight_core::spatial::axis_angle;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::slice::from_mut;
 
 /// A temporary failure of one channel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -161,9 +162,7 @@ impl Outages {
                     let before = &held.state.velocity.as_slice()[..6];
                     spoil(&mut sample.state.velocity.as_mut_slice()[..6], before);
                 }
-                // There may have been none when it froze.
-                OutageChannel::Height if outage.kind == OutageKind::Frozen => sample.height = held.height,
-                OutageChannel::Height => spoil(sample.height.as_mut_slice(), &[]),
+                OutageChannel::Height => spoil(from_mut(&mut sample.height), &[held.height]),
             }
         }
     }

@@ -36,6 +36,7 @@ use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, is_rotation, vee_of_skew_part};
 use crate::timing::share;
 use nalgebra::{DVector, Matrix3, Vector3};
+use std::slice::from_mut;
 use state::{Record, bound, time_is_plausible};
 
 /// Fraction of [`Jumps`] by which a value must differ from the prediction to count as frozen.
@@ -92,7 +93,7 @@ fn limits(robot: &RobotModel, thrust: impl Fn(f64) -> f64, foot: [f64; 2], of: &
         *to = thrust(jet.thrust_max);
     }
     limits.wind.fill(of.wind);
-    limits.height = Some(of.height);
+    limits.height = of.height;
     let RobotState { base, joint_position, velocity } = &mut limits.state;
     joint_position.fill(of.joint_position);
     velocity.rows_mut(0, 3).fill(of.velocity);
@@ -204,7 +205,8 @@ impl Channels {
         if !now.is_measured(Channel::Wind) {
             now.wind.fill(0.0); // not measured: still air until it is
         }
-        for channel in &self.parts {
+        // A robot need not measure its height.
+        for channel in self.parts.iter().filter(|channel| **channel != Channel::Height) {
             for (run, numbers) in now.numbers(*channel).into_iter().enumerate() {
                 if let Some(value) = numbers.iter().find(|number| !number.is_finite()) {
                     return bad(channel.name(run), *value, "a finite number");
@@ -220,8 +222,8 @@ impl Channels {
         // Where wind, thrusts, foot wrenches or height cannot be accepted: none, until they are.
         for channel in self.parts.iter().filter(|channel| !channel.is_vital()) {
             if !self.is_within(now, *channel) {
-                now.numbers_mut(*channel).into_iter().for_each(|numbers| numbers.fill(0.0));
-                now.height = now.height.filter(|_| *channel != Channel::Height);
+                let none = if *channel == Channel::Height { f64::NAN } else { 0.0 };
+                now.numbers_mut(*channel).into_iter().for_each(|numbers| numbers.fill(none));
             }
         }
         let state = ChannelsState {
@@ -424,9 +426,8 @@ impl Channels {
             }
         } else {
             record.age += dt;
-            // A robot need not measure its height.
             let is_usual =
-                kind == Channel::Height && (state.predicted.height.is_none() || record.age <= BETWEEN_MAX);
+                kind == Channel::Height && (state.predicted.height.is_nan() || record.age <= BETWEEN_MAX);
             modes.insert_if(!is_usual, kind.mode());
         }
         was_new && state.records[place].age == 0.0 && !is_same && state.is_begun
@@ -444,11 +445,9 @@ impl Channels {
         }
         predicted.base.rotation = exp_so3(&(angular * dt)) * predicted.base.rotation;
         bound(predicted.base.position.as_mut_slice(), self.greatest.state.base.position.as_slice());
-        let (height, most) = (state.predicted.height.as_mut_slice(), self.greatest.height.as_slice());
-        for value in height.iter_mut() {
-            *value += dt * linear.z;
-        }
-        bound(height, most);
+        let height = &mut state.predicted.height;
+        *height += dt * linear.z;
+        bound(from_mut(height), &[self.greatest.height]);
     }
 
     /// Lets predicted base velocities that have not been measured for long follow the difference of the last two poses.
@@ -507,7 +506,7 @@ impl Channels {
     #[must_use]
     pub fn new_height(&self, state: &ChannelsState, used: &Estimate) -> Option<f64> {
         let record = &state.records[self.place(6)];
-        used.robot.height.filter(|_| record.age == 0.0 && record.same == 0)
+        (record.age == 0.0 && record.same == 0).then_some(used.robot.height).filter(|height| height.is_finite())
     }
 
     /// Writes what an estimator is given of a tick: NaN for values that were not accepted, except for a base velocity that
@@ -533,7 +532,6 @@ impl Channels {
     /// are neither needed nor measured are zero.
     fn read(&self, measurement: &Measurement, used: &mut Estimate) {
         used.robot.copy_from(measurement);
-        used.robot.height = measurement.height.filter(|height| height.is_finite());
         used.is_of_speed.fill(false);
         let thrusts = used.robot.thrust.iter_mut().zip(&mut used.is_of_speed);
         for (((thrust, is_of_speed), engine), speed) in

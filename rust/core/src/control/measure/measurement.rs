@@ -5,10 +5,10 @@ use crate::control::modes::Modes;
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
 use nalgebra::{DVector, Vector3};
-use std::slice::from_ref;
+use std::slice::{from_mut, from_ref};
 
 /// Measurement of a tick.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Measurement {
     /// Time since the start of the flight \[s\].
     pub time: f64,
@@ -25,8 +25,25 @@ pub struct Measurement {
     /// order of the robot's feet. Only a controller with `contact` reads it; others accept none.
     pub foot_wrenches: DVector<f64>,
     /// Height of the base origin above that on the ground on which the robot is to land, in the posture in which the flight
-    /// begins \[m\]; `None` or NaN where it is not measured.
-    pub height: Option<f64>,
+    /// begins \[m\]; NaN where it is not measured.
+    pub height: f64,
+}
+
+/// Equal numbers; a height that neither has is equal too, because few robots measure it.
+impl PartialEq for Measurement {
+    fn eq(&self, other: &Self) -> bool {
+        let Self { time, state, thrust, shaft_speed, wind, foot_wrenches, height } = self;
+        (time, state, thrust, shaft_speed, wind, foot_wrenches)
+            == (
+                &other.time,
+                &other.state,
+                &other.thrust,
+                &other.shaft_speed,
+                &other.wind,
+                &other.foot_wrenches,
+            )
+            && (*height == other.height || (height.is_nan() && other.height.is_nan()))
+    }
 }
 
 /// Numbers of a measurement that are accepted or predicted together.
@@ -44,8 +61,8 @@ pub(in crate::control) enum Channel {
 }
 
 impl Measurement {
-    /// A robot at rest with these numbers of joints, jets and feet, at time zero in still air; speeds of shafts are not
-    /// measured.
+    /// A robot at rest with these numbers of joints, jets and feet, at time zero in still air; speeds of shafts and height
+    /// are not measured.
     #[must_use]
     pub fn zero(joints: usize, jets: usize, feet: usize) -> Self {
         Self {
@@ -55,7 +72,7 @@ impl Measurement {
             shaft_speed: vec![f64::NAN; jets],
             wind: Vector3::zeros(),
             foot_wrenches: DVector::zeros(6 * feet),
-            height: None,
+            height: f64::NAN,
         }
     }
 
@@ -83,7 +100,7 @@ impl Measurement {
             Channel::Position => base.position.as_slice(),
             Channel::Rotation => base.rotation.as_slice(),
             Channel::Feet => self.foot_wrenches.as_slice(),
-            Channel::Height => self.height.as_slice(),
+            Channel::Height => from_ref(&self.height),
         };
         [run, &[]]
     }
@@ -94,7 +111,7 @@ impl Measurement {
         let RobotState { base, joint_position, velocity } = &mut self.state;
         let run = match channel {
             Channel::Wind => self.wind.as_mut_slice(),
-            Channel::Thrust(jet) => std::slice::from_mut(&mut self.thrust[jet]),
+            Channel::Thrust(jet) => from_mut(&mut self.thrust[jet]),
             Channel::Joints => {
                 return [joint_position.as_mut_slice(), &mut velocity.as_mut_slice()[6..]];
             }
@@ -103,7 +120,7 @@ impl Measurement {
             Channel::Position => base.position.as_mut_slice(),
             Channel::Rotation => base.rotation.as_mut_slice(),
             Channel::Feet => self.foot_wrenches.as_mut_slice(),
-            Channel::Height => self.height.as_mut_slice(),
+            Channel::Height => from_mut(&mut self.height),
         };
         [run, &mut []]
     }
@@ -111,9 +128,6 @@ impl Measurement {
     /// Copies the numbers of a channel.
     #[inline]
     pub(in crate::control) fn copy_channel(&mut self, channel: Channel, from: &Self) {
-        if channel == Channel::Height {
-            self.height = from.height; // which may have been absent here
-        }
         for (to, from) in self.numbers_mut(channel).into_iter().zip(from.numbers(channel)) {
             to.copy_from_slice(from);
         }
@@ -124,11 +138,10 @@ impl Measurement {
         self.numbers_mut(channel).into_iter().for_each(|numbers| numbers.fill(f64::NAN));
     }
 
-    /// Whether a channel has numbers, and every one is finite.
+    /// Whether every number of a channel is finite.
     #[inline]
     pub(in crate::control) fn is_measured(&self, channel: Channel) -> bool {
-        let is_present = channel != Channel::Height || self.height.is_some();
-        is_present && self.numbers(channel).into_iter().flatten().all(|number| number.is_finite())
+        self.numbers(channel).into_iter().flatten().all(|number| number.is_finite())
     }
 }
 

@@ -11,9 +11,7 @@ impl Controller {
     /// Updates the estimate of the robot by a measurement; returns whether the measurement has the sizes of this robot.
     pub(super) fn measure(&mut self, measurement: &Measurement, state: &mut ControllerState) -> bool {
         let Self { channels, estimator, detectors, .. } = self;
-        let ControllerState {
-            estimate, channels: memory, acting, wind, is_descending, ground, stance, ..
-        } = state;
+        let ControllerState { estimate, channels: memory, acting, wind, is_descending, .. } = state;
         let is_usable = channels.fit(measurement);
         if is_usable {
             estimate.wind_std = wind.as_ref().map_or_else(Vector3::zeros, WindState::std);
@@ -33,9 +31,14 @@ impl Controller {
                 estimate.robot.thrust.copy_from_slice(&found.thrust);
             }
         }
-        if let Some(height) = channels.new_height(memory, estimate) {
+        is_usable
+    }
+
+    /// Takes the ground from a height that is measured anew; after a beginning again, by its stance.
+    pub(super) fn find_ground(&self, state: &mut ControllerState) {
+        let ControllerState { channels, estimate, ground, stance, .. } = state;
+        if let Some(height) = self.channels.new_height(channels, estimate) {
             *ground = estimate.robot.state.base.position.z - height + *stance;
         }
-        is_usable
     }
 }
