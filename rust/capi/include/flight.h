@@ -149,8 +149,8 @@ typedef struct FlightMeasurement {
   // controller with `controller.shaft` reads them: the thrust follows from the speed.
   const double *shaft_speed;
   // Height of the base origin above that on the ground on which the robot is to land, in the posture in which the flight
-  // begins [m]; NaN or null where it is not measured.
-  const double *height;
+  // begins [m]; NaN where it is not measured.
+  double height;
 } FlightMeasurement;
 
 // Set-point of a tick, for programs with their own planner.
@@ -305,7 +305,8 @@ double flight_throttle(const struct FlightController *controller,
                        size_t index);
 
 // Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
-// reference. Only the wind may be NaN, and joint velocities that need not be measured. If no flight can start with it,
+// reference. Only wind, height and speeds of shafts may be NaN, thrusts of jets whose speed is measured, and joint
+// velocities that need not be measured; in later ticks any number may be, where it is not measured. If no flight can start with it,
 // the present one continues, and `message`, unless null, contains the reason in at most `message_size` bytes, the last
 // of which is zero. Allocates, so call it before the control loop.
 //
@@ -374,11 +375,14 @@ struct FlightRobot *flight_robot_create(struct FlightHeader header,
 // `robot` comes from `flight_robot_create` and is not used afterwards.
 void flight_robot_free(struct FlightRobot *robot);
 
-// Measures every field, with arrays of the robot, which are valid until the next call for it.
+// Measures a simulated robot exactly: time, pose and velocity of the base, joints, thrusts and wind, with arrays of the
+// robot, which are valid until the next call for it. It has no other sensors: `foot_wrenches` and `shaft_speed` are null,
+// `height` is NaN.
 //
 // # Safety
 // `robot` comes from `flight_robot_create`, or is null; `measurement` has space for one, or is null.
-enum FlightStatus flight_robot_measure(struct FlightRobot *robot, struct FlightMeasurement *measurement);
+enum FlightStatus flight_robot_measure(struct FlightRobot *robot,
+                                       struct FlightMeasurement *measurement);
 
 // Advances a simulated robot by one tick, in which thrust rates and joint torques of `command` act.
 //

@@ -28,6 +28,7 @@ pub mod acting;
 pub(crate) mod command;
 pub mod config;
 pub mod detect;
+pub mod engine_condition;
 pub mod estimate;
 pub mod law;
 pub mod limits;

@@ -6,6 +6,7 @@
 use crate::common::{assert_within, at, experiment, random_state, rng};
 use flight_core::Measurement;
 use flight_core::control::acting::Acting;
+use flight_core::control::limits::Descent;
 use flight_core::control::measure::channels::{Channels, ChannelsConfig, ChannelsState};
 use flight_core::control::measure::greatest::MAGNITUDES;
 use flight_core::control::measure::measurement::Sampling;
@@ -105,7 +106,7 @@ struct Rig {
     channels: Channels,
     state: ChannelsState,
     acting: Acting,
-    is_descending: bool,
+    descent: Descent,
     sample: Measurement,
     used: Estimate,
 }
@@ -126,7 +127,7 @@ impl Rig {
         let mut acting = Acting::new(23, 4, 0);
         acting.acceleration = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
         acting.thrust_rate = DVector::from_vec(vec![30.0, -40.0, -600.0, 10.0]);
-        let mut rig = Self { channels, state, acting, is_descending: false, sample, used };
+        let mut rig = Self { channels, state, acting, descent: Descent::default(), sample, used };
         rig.update(&rig.sample.clone());
         rig
     }
@@ -136,8 +137,8 @@ impl Rig {
     }
 
     fn update(&mut self, sample: &Measurement) {
-        let Self { channels, state, acting, is_descending, used, .. } = self;
-        channels.update(state, sample, sample.wind, acting, is_descending, used);
+        let Self { channels, state, acting, descent, used, .. } = self;
+        channels.update(state, sample, sample.wind, acting, descent, used);
     }
 
     /// A tick later, with something changed.

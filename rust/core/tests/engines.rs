@@ -5,7 +5,10 @@
 
 use crate::common::{assert_within, experiment};
 use flight_core::control::detect::engines::{
-    DescentConfig, EngineSample, EngineState, Engines, EnginesConfig, explains,
+    DescentConfig, EngineMonitor, EngineSample, Engines, EnginesConfig, Shown, explains,
+};
+use flight_core::control::engine_condition::{
+    EVERYTHING, EngineCondition, EngineFinding, EngineLimits, EngineState,
 };
 use flight_core::control::limits::Limits;
 use flight_core::jets::{EngineDynamics, JetDynamics, ThrustRateController};
@@ -30,7 +33,8 @@ const OUT_OF_REACH: (bool, bool) = (false, true);
 /// The monitors of the robot's first jets, which push upwards, on arms of 0.3 m to the front and to the back in turn.
 struct Monitors {
     engines: Engines,
-    states: Vec<EngineState>,
+    each: Vec<EngineMonitor>,
+    conditions: Vec<EngineCondition>,
     a_t: Matrix6xX<f64>,
 }
 
@@ -39,11 +43,12 @@ impl Monitors {
         let config = experiment("test2_observer");
         let mut robot = load_robot(&config.robot).unwrap();
         robot.jets.truncate(jets);
-        let limits = Limits::new(config.controller.law.momentum, &robot);
-        let engines = Engines::new(&CONFIG, &limits, &robot, [momentum_share; 2], JetDynamics::Ideal);
+        let engines = Engines::new(&CONFIG, &robot, [momentum_share; 2], JetDynamics::Ideal);
         let column = |jet: usize| Vector6::new(0.0, 0.0, 1.0, 0.0, 0.3 - 0.6 * (jet % 2) as f64, 0.0);
         let a_t = Matrix6xX::from_columns(&(0..jets).map(column).collect::<Vec<_>>());
-        Self { states: vec![EngineState::default(); jets], engines, a_t }
+        let (each, conditions) =
+            (vec![EngineMonitor::default(); jets], vec![EngineCondition::default(); jets]);
+        Self { engines, each, conditions, a_t }
     }
 
     /// A tick with these samples; the momentum is measured and has the residual of sensors that are wrong by so much \[N\].
@@ -61,11 +66,20 @@ impl Monitors {
         let residual = sensor_errors.map(|errors| {
             self.a_t.column_iter().zip(errors).map(|(column, error)| -*error * column).sum::<Vector6<f64>>()
         });
-        let momentum = residual.as_ref().map(|residual| (&self.a_t, residual));
-        let mut wrong = vec![None; samples.len()];
-        self.engines.update(&mut self.states, STEP, |jet| samples[jet], momentum, is_between, &mut wrong);
-        let found = wrong.iter().zip(&self.states);
-        found.map(|(wrong, engine)| (wrong.is_some(), engine.is_limited())).collect()
+        let shown = match &residual {
+            Some(residual) => Shown::Measured { a_t: &self.a_t, residual, covered: STEP },
+            None if is_between => Shown::Between,
+            None => Shown::Nothing,
+        };
+        let mut findings = vec![EngineFinding::Nothing; samples.len()];
+        self.engines.update(&mut self.each, &self.conditions, STEP, |jet| samples[jet], shown, &mut findings);
+        let measured = if residual.is_some() { STEP } else { 0.0 };
+        let all = self.conditions.iter_mut().zip(findings).zip(samples);
+        all.map(|((engine, finding), sample)| {
+            let error = engine.advance(finding, sample.thrust, measured);
+            (error.is_some(), !engine.works())
+        })
+        .collect()
     }
 }
 
@@ -86,7 +100,7 @@ fn deviations_are_summed_and_forgotten() {
     for tick in 1..=40 {
         let _ = update(&mut engine, 100.0, 0.3, 0.0);
         let expected = 0.3 * (-f64::from(tick) * STEP / 0.5).exp_m1() / (-STEP / 0.5).exp_m1();
-        assert_within!((engine.states[0].deviation - expected).abs(), 1e-12, "tick {tick}");
+        assert_within!((engine.each[0].deviation - expected).abs(), 1e-12, "tick {tick}");
     }
 }
 
@@ -94,7 +108,7 @@ fn deviations_are_summed_and_forgotten() {
 /// bound the thrust on their side; 14 N never do.
 #[test]
 fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
-    let everything = (0.0, f64::INFINITY);
+    let everything = EVERYTHING;
     for (size, found, range) in [
         (20.0, Some(6), (100.0, f64::INFINITY)),
         (-20.0, Some(6), (0.0, 100.0)),
@@ -108,8 +122,8 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
         let first = findings.iter().position(|finding| *finding != NOTHING);
         assert_eq!(first.map(|tick| tick + 1), found, "{size} N");
         assert!(findings[first.unwrap_or(20)..].iter().all(|finding| *finding == OUT_OF_REACH), "{size} N");
-        assert_eq!(engine.states[0].range, range, "{size} N");
-        assert!(!engine.states[0].is_lost(&descent(), 120.0));
+        assert_eq!(engine.conditions[0].reaches, range, "{size} N");
+        assert!(!engine.conditions[0].is_lost(&descent(), 120.0));
     }
 }
 
@@ -120,17 +134,17 @@ fn an_engine_whose_bounds_are_close_together_is_lost() {
     let mut stuck = Monitors::new(1, 1.0);
     for tick in 0..100 {
         let _ = update(&mut stuck, 80.0, if tick < 50 { -1.0 } else { 1.0 }, 0.0);
-        let engine = stuck.states[0];
-        assert_eq!(engine.is_lost(&descent(), 120.0), engine.range == (80.0, 80.0), "tick {tick}");
+        let engine = stuck.conditions[0];
+        assert_eq!(engine.is_lost(&descent(), 120.0), engine.reaches == (80.0, 80.0), "tick {tick}");
     }
-    assert_eq!(stuck.states[0].range, (80.0, 80.0));
+    assert_eq!(stuck.conditions[0].reaches, (80.0, 80.0));
     let (mut fading, mut thrust) = (Monitors::new(1, 1.0), 100.0);
     for _ in 0..50 {
         thrust -= 2.0;
         let _ = update(&mut fading, thrust, -2.0, 0.0);
-        assert_eq!(fading.states[0].is_lost(&descent(), 120.0), thrust < 30.0, "{thrust} N");
+        assert_eq!(fading.conditions[0].is_lost(&descent(), 120.0), thrust < 30.0, "{thrust} N");
     }
-    assert_eq!(fading.states[0].range, (0.0, thrust));
+    assert_eq!(fading.conditions[0].reaches, (0.0, thrust));
 }
 
 /// A deviation after lags with shares `a` and `b` is, a step of `d` being forgotten by `f` per tick,
@@ -218,7 +232,7 @@ fn an_engine_that_follows_as_fast_as_it_can_is_not_limited() {
             let sample =
                 EngineSample { thrust: before, innovation, is_measured: true, is_of_speed: false, command };
             assert_eq!(monitor.tick(&[sample], Some(&[0.0])), [NOTHING], "tick {tick}, lags: {lags}");
-            farthest = farthest.max(monitor.states[0].deviation.abs());
+            farthest = farthest.max(monitor.each[0].deviation.abs());
         }
         assert_eq!(farthest > CONFIG.deviation_max, lags, "{farthest} N");
         let mut found = NOTHING;
@@ -290,12 +304,12 @@ fn the_least_thrust_is_that_of_a_running_engine() {
     let mut robot = load_robot(&config.robot).unwrap();
     robot.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
     let mut limits = Limits::new(config.controller.law.momentum, &robot);
-    let engines = Engines::new(&CONFIG, &limits, &robot, [1.0; 2], JetDynamics::Ideal);
-    let mut states = vec![EngineState::default(); 4];
-    states[1].range = (0.0, 80.0);
-    states[2].range = (0.0, 2.0);
-    states[3].range = (60.0, 90.0);
-    engines.limit(&states, false, &mut limits);
+    let engines = EngineLimits::new(None, &limits, &robot);
+    let limited = |reaches| EngineCondition { state: EngineState::Limited, reaches, ..Default::default() };
+    let conditions =
+        [EngineCondition::default(), limited((0.0, 80.0)), limited((0.0, 2.0)), limited((60.0, 90.0))];
+    assert!(!engines.limit(&conditions, false, &mut limits), "without a descent none is lost");
+    assert_eq!(limits.works, [true, false, false, false]);
     assert_eq!(limits.thrust, [(11.0, 160.0), (11.0, 80.0), (2.0, 2.0), (60.0, 90.0)]);
 }
 
@@ -316,5 +330,166 @@ fn the_limits_of_a_descent_are_those_of_revolute_joints() {
         (joint.kind, joint.velocity_max, joint.torque_rate_max) = (kind, own * fast, own * strong);
         assert_eq!(descent.velocity_max(&joint), expected * fast);
         assert_eq!(descent.torque_rate_max(&joint), expected * strong);
+    }
+}
+
+/// Without momentum only a sensor that lacks three quarters of the thrust, and more than twice the limit of 15 N, is believed,
+/// after 0.05 s; what 40 N more or less say of an engine says nothing.
+#[test]
+fn without_momentum_only_a_stop_is_found() {
+    for (thrust, before, found) in [
+        (0.0, 100.0, Some(6)),
+        (24.0, 100.0, Some(6)),
+        (26.0, 100.0, None),
+        (60.0, 100.0, None),
+        (140.0, 100.0, None),
+        (0.0, 29.0, None),
+        (0.0, 31.0, Some(6)),
+    ] {
+        let mut engine = Monitors::new(1, 1.0);
+        let first = (1..=8).find(|tick| {
+            let innovation = if *tick == 1 { thrust - before } else { 0.0 };
+            engine.tick(&[held(thrust, innovation)], None)[0] == OUT_OF_REACH
+        });
+        assert_eq!(first, found, "{thrust} of {before} N");
+        if found.is_some() {
+            let EngineCondition { state, reaches, is_believed, .. } = engine.conditions[0];
+            assert_eq!((state, reaches, is_believed), (EngineState::Unconfirmed, (0.0, thrust), true));
+        }
+    }
+}
+
+/// Between two measurements of the momentum it is waited for; several sensors that say so at once are wrong.
+#[test]
+fn a_stop_without_momentum_is_that_of_one_engine_in_a_gap() {
+    let (stopped, works) = (|first| held(0.0, if first { -100.0 } else { 0.0 }), held(100.0, 0.0));
+    let mut between = Monitors::new(2, 1.0);
+    for tick in 0..15 {
+        assert_eq!(between.tick_between(&[stopped(tick == 0), works], None, true), [NOTHING; 2]);
+    }
+    assert_eq!(between.tick(&[stopped(false), works], None), [OUT_OF_REACH, NOTHING], "it has lasted");
+    let mut both = Monitors::new(2, 1.0);
+    for tick in 0..15 {
+        assert_eq!(both.tick(&[stopped(tick == 0); 2], None), [NOTHING; 2]);
+    }
+}
+
+/// Momentum that is measured again shows the thrust of an engine that works: three ticks revoke the stop, and the sensor is not
+/// used any more. Eleven ticks without that keep it, for good.
+#[test]
+fn momentum_revokes_a_stop_that_was_found_without_it_or_keeps_it() {
+    for (shown, ticks, state) in [
+        (100.0, 3, EngineState::Works),
+        (51.0, 3, EngineState::Works),
+        (49.0, 11, EngineState::Limited),
+        (0.0, 11, EngineState::Limited),
+        (-100.0, 11, EngineState::Limited),
+    ] {
+        let mut engine = Monitors::new(1, 1.0);
+        for tick in 0..10 {
+            engine.tick(&[held(0.0, if tick == 0 { -100.0 } else { 0.0 })], None);
+        }
+        let lacked = engine.conditions[0].taken.thrust;
+        assert_eq!(lacked, 100.0, "nothing is forgotten");
+        // A sensor that says too little by so much.
+        let error = -shown / 100.0 * lacked;
+        let changed = (1..40).find(|_| {
+            engine.tick(&[held(0.0, 0.0)], Some(&[error]));
+            engine.conditions[0].state != EngineState::Unconfirmed
+        });
+        let EngineCondition { state: found, reaches, is_believed, .. } = engine.conditions[0];
+        assert_eq!((changed, found), (Some(ticks), state), "{shown} %");
+        let is_revoked = state == EngineState::Works;
+        assert_eq!((reaches == EVERYTHING, is_believed), (is_revoked, !is_revoked));
+    }
+}
+
+/// The table of transitions, row by row: every pair of state and finding, what it changes, and the correction of the thrust.
+#[test]
+#[allow(clippy::match_same_arms, reason = "a row of the table each")]
+fn the_table_of_transitions() {
+    use EngineFinding as Found;
+    use EngineState::{Limited, Stopped, Unconfirmed, Works};
+    let short = Found::OutOfReach { thrust: 70.0, is_short: true };
+    let unseen = Found::StoppedUnseen { thrust: 1.0, lacks: 90.0 };
+    let agreed = Found::Agreed { thrust: 60.0 };
+    let wrong = Found::WrongSensor { error: 25.0 };
+    let narrowed = (0.0, 80.0);
+    let findings = [Found::Nothing, wrong, short, unseen, Found::Kept, Found::Given, agreed, Found::Missing];
+    for (state, reaches) in
+        [(Works, EVERYTHING), (Limited, narrowed), (Unconfirmed, (0.0, 1.0)), (Stopped, (0.0, 0.0))]
+    {
+        for finding in findings {
+            let mut engine =
+                EngineCondition { state, reaches, is_believed: state != Stopped, ..Default::default() };
+            (engine.taken.thrust, engine.taken.reaches, engine.since) = (95.0, narrowed, 3.0);
+            let before = engine;
+            let error = engine.advance(finding, 100.0, STEP);
+            let least = reaches.0;
+            let expected = match (state, finding) {
+                (Works | Limited, Found::WrongSensor { .. }) => (state, reaches, false, Some(25.0)),
+                (Works | Limited, Found::OutOfReach { .. }) => (Limited, (least, 70.0), true, None),
+                (Works | Limited, Found::StoppedUnseen { .. }) => (Unconfirmed, (0.0, 1.0), true, None),
+                (Works | Limited, Found::Missing) => (Stopped, (0.0, 0.0), false, Some(100.0)),
+                (Unconfirmed, Found::Kept) => (Limited, (0.0, 1.0), true, None),
+                (Unconfirmed, Found::Given) => (Limited, narrowed, false, Some(-95.0)),
+                (Stopped, Found::Given) => (Limited, narrowed, true, Some(5.0)),
+                (Stopped, Found::Agreed { .. }) => (Limited, narrowed, true, Some(40.0)),
+                (Stopped, _) => (Stopped, (0.0, 0.0), false, Some(100.0)),
+                _ => (before.state, before.reaches, before.is_believed, None),
+            };
+            let found = (engine.state, engine.reaches, engine.is_believed, error);
+            assert_eq!(found, expected, "{state:?}, {finding:?}");
+            let is_changed = found.0 != state || found.1 != reaches || found.2 != before.is_believed;
+            let since = if is_changed { (finding, 0.0) } else { (before.evidence, before.since + STEP) };
+            assert_eq!((engine.evidence, engine.since), since, "{state:?}, {finding:?}");
+        }
+    }
+    for one in findings {
+        for other in findings {
+            assert_eq!(one.or(other), other.or(one), "the order of detectors has no meaning");
+        }
+    }
+}
+
+/// An engine is lost as long as its condition says so: the limits of the descent, and no longer.
+#[test]
+fn an_engine_that_works_again_gives_the_usual_limits_back() {
+    let config = experiment("test2_observer");
+    let robot = load_robot(&config.robot).unwrap();
+    let usual = Limits::new(config.controller.law.momentum, &robot);
+    let engines = EngineLimits::new(Some(descent()), &usual, &robot);
+    let mut conditions = [EngineCondition::default(); 4];
+    let limits = |conditions: &[EngineCondition], is_standing| {
+        let mut limits = usual.clone();
+        (engines.limit(conditions, is_standing, &mut limits), limits)
+    };
+    let thrust = 100.0;
+    conditions[2].advance(EngineFinding::Missing, thrust, STEP);
+    let (is_lost, of_descent) = limits(&conditions, false);
+    assert!(is_lost && !of_descent.holds_position && of_descent.thrust[2] == (0.0, 0.0));
+    let (is_lost, standing) = limits(&conditions, true);
+    assert!(is_lost && standing.holds_position && standing.thrust[2] == (0.0, 0.0));
+    conditions[2].advance(EngineFinding::Given, 0.0, STEP);
+    assert_eq!(limits(&conditions, false), (false, usual.clone()));
+}
+
+/// A sensor that is wrong for a while without momentum leaves nothing that would be judged when there is one again.
+#[test]
+fn an_error_that_comes_and_goes_without_momentum_is_no_engine() {
+    for error in [40.0, -40.0] {
+        let mut engine = Monitors::new(1, 1.0);
+        for tick in 0..100 {
+            let innovation = match tick {
+                10 => error,
+                60 => -error,
+                _ => 0.0,
+            };
+            assert_eq!(engine.tick(&[held(60.0, innovation)], None), [NOTHING]);
+        }
+        assert_eq!(engine.each[0].deviation, 0.0);
+        for _ in 0..20 {
+            assert_eq!(engine.tick(&[held(60.0, 0.0)], Some(&[0.0])), [NOTHING]);
+        }
     }
 }

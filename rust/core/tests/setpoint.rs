@@ -634,3 +634,43 @@ fn a_set_point_no_robot_can_be_at_is_none() {
     let turned = Setpoint::at_rest(Vector3::zeros(), Matrix3::identity() * 1.1);
     assert!(!turned.is_valid());
 }
+
+/// After a descent that is revoked the mission goes on from where the robot is, with the attitude and the boost that it had, and
+/// its later commands; a mission that was never left is not changed.
+#[test]
+fn a_mission_goes_on_after_a_descent() {
+    let mission = || Mission::Commands(commands("in_line"));
+    let generator = SetpointGenerator::new(&config(), mission(), &BACKWARDS, TIME_STEP).unwrap();
+    let start = || generator.start(first_com(), &rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)));
+    let (mut state, mut tick) = (start(), 0);
+    let fly = |state: &mut _, tick: &mut usize, to: usize| {
+        for at in *tick..to {
+            let _ = generator.update(state, at as f64 * TIME_STEP);
+        }
+        *tick = to;
+    };
+    // Leaning, in the boost.
+    fly(&mut state, &mut tick, 2250);
+    let (before, untouched) = (*state.raw(), state);
+    let (com, velocity) = (Vector3::new(3.0, -0.2, 5.7), Vector3::new(2.0, 0.1, -0.3));
+    generator.resume(&mut state, &com, &velocity);
+    assert_eq!(state, untouched, "no descent");
+    for _ in 0..16 {
+        let _ = generator.descend(&mut state, false);
+    }
+    tick += 16;
+    assert!(state.raw().rpy.y.abs() < before.rpy.y.abs() - 0.02, "it levels");
+    generator.resume(&mut state, &com, &velocity);
+    assert_eq!(state.raw().rpy, before.rpy);
+    let setpoint = generator.update(&mut state, tick as f64 * TIME_STEP);
+    assert_within!((setpoint.com_position - com).norm(), 2.0 * TIME_STEP * velocity.norm());
+    assert_within!((setpoint.com_velocity - velocity).norm(), 0.1, because "of a boost of 3 m/s in a filter of 1.5 s");
+    // The boost goes on as if it had not been left: what is left of the mission moves it as far.
+    let mut other = untouched;
+    fly(&mut other, &mut { 2250 }, 2251);
+    assert_eq!(state.raw().velocity, other.raw().velocity);
+    // A second descent begins from the mission of then.
+    let _ = generator.descend(&mut state, false);
+    generator.resume(&mut state, &com, &velocity);
+    assert_eq!(state.raw().rpy.y, before.rpy.y);
+}

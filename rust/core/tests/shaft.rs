@@ -7,8 +7,9 @@ use crate::common::{assert_within, at, experiment, random_state, rng};
 use flight_core::Measurement;
 use flight_core::control::Estimate;
 use flight_core::control::acting::Acting;
-use flight_core::control::detect::engines::{EngineSample, EngineState, Engines, EnginesConfig};
-use flight_core::control::limits::Limits;
+use flight_core::control::detect::engines::{EngineMonitor, EngineSample, Engines, EnginesConfig, Shown};
+use flight_core::control::engine_condition::{EngineCondition, EngineFinding};
+use flight_core::control::limits::Descent;
 use flight_core::control::measure::channels::{Channels, ChannelsConfig};
 use flight_core::jets::{
     EngineDynamics, EngineModel, JetDynamics, JetModel, Shaft, ShaftConfig, ThrustRateController,
@@ -49,14 +50,13 @@ fn robot() -> RobotModel {
 /// stops in a tick.
 fn found(scale: f64, stop: usize) -> Option<usize> {
     let robot = robot();
-    let limits = Limits::new(experiment("test2_observer").controller.law.momentum, &robot);
     let config = EnginesConfig { deviation_max: 12.0, descent: None };
-    let monitor = Engines::new(&config, &limits, &robot, [1.0; 2], JetDynamics::Throttled);
+    let monitor = Engines::new(&config, &robot, [1.0; 2], JetDynamics::Throttled);
     let known = JetModel { thrust_min: 0.0, engine: Some(EngineModel::Shaft(shaft())) };
     let model = EngineModel::Shaft(shaft_of(|k| k.ramps = k.ramps.map(|ramp| scale * ramp)));
     let mut engine = EngineDynamics::new(model, 110.0, 0.0);
     let mut throttle = ThrustRateController::new(model.steady_throttle(110.0));
-    let (mut states, mut rate) = (vec![EngineState::default(); 4], 0.0);
+    let (mut monitors, mut rate) = (vec![EngineMonitor::default(); 4], 0.0);
     (0..1200).find(|tick| {
         let command = if tick / 150 % 2 == 0 { 80.0 } else { -80.0 };
         let (predicted, next) = known.advance(engine.thrust, rate, command, DT);
@@ -68,8 +68,9 @@ fn found(scale: f64, stop: usize) -> Option<usize> {
         let (thrust, innovation) = (engine.thrust, engine.thrust - predicted);
         let healthy = EngineSample { thrust, innovation: 0.0, is_measured: true, is_of_speed: true, command };
         let sample = |jet| if jet == 0 { EngineSample { innovation, ..healthy } } else { healthy };
-        monitor.update(&mut states, DT, sample, None, false, &mut [None; 4]);
-        states[0].is_limited()
+        let (conditions, mut findings) = ([EngineCondition::default(); 4], [EngineFinding::Nothing; 4]);
+        monitor.update(&mut monitors, &conditions, DT, sample, Shown::Between, &mut findings);
+        matches!(findings[0], EngineFinding::OutOfReach { .. })
     })
 }
 
@@ -103,7 +104,7 @@ fn a_measured_speed_gives_the_thrust_and_a_sensor_that_of_the_others() {
     let start = |speed| channels.start(&with(speed), Estimate::new(&robot, 4, DT));
     let (mut state, mut used) = start(first).unwrap();
     let acting = Acting::new(robot.joints.len(), 4, robot.feet.len());
-    channels.update(&mut state, &with(second), Vector3::zeros(), &acting, &mut false, &mut used);
+    channels.update(&mut state, &with(second), Vector3::zeros(), &acting, &mut Descent::default(), &mut used);
     assert_eq!(used.robot.thrust, [shaft().thrust(0.7), 90.0, 5.0, 110.0]);
     let refusal = start(third).unwrap_err().to_string();
     assert!(refusal.contains("`shaft_speed` holds 0.8"), "{refusal}");

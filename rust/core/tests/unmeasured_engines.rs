@@ -3,8 +3,9 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use flight_core::control::detect::unmeasured_engines::{
-    UnmeasuredEngines, UnmeasuredEnginesConfig, UnmeasuredState,
+    Changed, UnmeasuredEngines, UnmeasuredEnginesConfig, UnmeasuredState,
 };
+use flight_core::control::engine_condition::{EngineCondition, EngineFinding, EngineState};
 use nalgebra::{Matrix6xX, Vector6};
 
 const STEP: f64 = 0.01;
@@ -13,6 +14,8 @@ const THRUST: f64 = 100.0;
 /// Three jets upwards, on arms of 0.3 m to the left, to the right and to the back, of which the first is not measured.
 struct Robot {
     state: UnmeasuredState,
+    conditions: [EngineCondition; 3],
+    step: f64,
     a_t: Matrix6xX<f64>,
     thrust: [f64; 3],
     missing: [bool; 3],
@@ -28,6 +31,8 @@ impl Robot {
         let column = |[about_x, about_y]: [f64; 2]| Vector6::new(0.0, 0.0, 1.0, about_x, about_y, 0.0);
         Self {
             state: UnmeasuredState::new(3),
+            conditions: [EngineCondition::default(); 3],
+            step: STEP,
             a_t: Matrix6xX::from_columns(&arms.map(column)),
             thrust: [THRUST; 3],
             missing: [true, false, false],
@@ -43,21 +48,34 @@ impl Robot {
     fn observe(&mut self, observed: Vector6<f64>, residual: Vector6<f64>) -> Found {
         self.tick += 1;
         for jet in 0..3 {
-            let noise = 0.1 * f64::from(self.tick % 7);
-            self.state.take_in(
-                jet,
-                self.thrust[jet] + noise,
-                if self.missing[jet] { 0.0 } else { noise - 0.3 },
-            );
+            let reading = self.thrust[jet] + 0.1 * f64::from(self.tick % 7);
+            self.state.take_in(jet, if self.missing[jet] { f64::NAN } else { reading }, STEP);
         }
+        self.judge(observed, residual)
+    }
+
+    fn judge(&mut self, observed: Vector6<f64>, residual: Vector6<f64>) -> Found {
         let detector = UnmeasuredEngines(UnmeasuredEnginesConfig { force_min: 12.0 });
+        let mut findings = [EngineFinding::Nothing; 3];
+        let shown = Changed {
+            observed: &observed,
+            residual: &residual,
+            a_t: &self.a_t,
+            thrust: &self.thrust,
+            covered: self.step,
+            elapsed: STEP,
+        };
+        let wrench = detector.judge(&mut self.state, &self.conditions, &shown, &mut findings);
         let mut errors = [None; 3];
-        let now = [&observed, &residual];
-        let wrench = detector.judge(&mut self.state, STEP, now, &self.a_t, &self.thrust, &mut errors);
-        for (thrust, error) in self.thrust.iter_mut().zip(errors) {
-            *thrust -= error.unwrap_or(0.0);
+        for (jet, (engine, finding)) in self.conditions.iter_mut().zip(findings).enumerate() {
+            errors[jet] = engine.advance(finding, self.thrust[jet], self.step);
+            self.thrust[jet] -= errors[jet].unwrap_or(0.0);
         }
         (errors, wrench)
+    }
+
+    fn is_stopped(&self, jet: usize) -> bool {
+        self.conditions[jet].state == EngineState::Stopped
     }
 
     /// So many ticks with one wrench; the number of the one that first finds something.
@@ -82,7 +100,7 @@ fn an_engine_that_stops_with_its_sensor_is_found_in_three_ticks() {
     assert_eq!(robot.tick(lost), ([None; 3], None));
     assert_eq!(robot.tick(lost), ([None; 3], None));
     assert_eq!(robot.tick(lost), ([Some(THRUST), None, None], Some(CALM)));
-    assert!(robot.state.is_stopped(0) && !robot.state.is_stopped(1));
+    assert!(robot.is_stopped(0) && !robot.is_stopped(1));
     assert_eq!(robot.thrust, [0.0, THRUST, THRUST]);
 }
 
@@ -131,7 +149,7 @@ fn the_best_explanation_is_found() {
         assert_eq!(robot.first(5, CALM), None);
         let wrench = robot.without(stopped, THRUST);
         assert_eq!(robot.first(9, wrench), Some(3));
-        assert_eq!([0, 1, 2].map(|jet| robot.state.is_stopped(jet)), [0, 1, 2].map(|jet| jet == stopped));
+        assert_eq!([0, 1, 2].map(|jet| robot.is_stopped(jet)), [0, 1, 2].map(|jet| jet == stopped));
     }
 }
 
@@ -144,14 +162,55 @@ fn a_frozen_thrust_is_not_a_measured_one() {
         assert_eq!(robot.first(5, CALM), None);
         let lost = robot.without(0, THRUST);
         for _ in 0..=frozen {
-            robot.state.take_in(0, 1.0, -1.0);
+            robot.state.take_in(0, 1.0, STEP);
         }
-        let detector = UnmeasuredEngines(UnmeasuredEnginesConfig { force_min: 12.0 });
-        let mut judge = || {
-            let now = [&CALM, &lost];
-            detector.judge(&mut robot.state, STEP, now, &robot.a_t, &robot.thrust, &mut [None; 3])
-        };
-        assert_eq!((1..=4).find(|_| judge().is_some()), found, "{frozen} ticks");
+        assert_eq!((1..=4).find(|_| robot.judge(CALM, lost).1.is_some()), found, "{frozen} ticks");
+    }
+}
+
+/// Times are those that the momentum covers: 0.02 s are three ticks, two measurements every 0.02 s, or one of 0.05 s and more.
+#[test]
+fn a_confirmation_is_a_time_of_measured_momentum() {
+    for (covered, found) in [(0.01, 3), (0.02, 2), (0.05, 1), (0.1, 1)] {
+        let mut robot = Robot::new();
+        assert_eq!(robot.first(5, CALM), None);
+        robot.step = covered;
+        let lost = robot.without(0, THRUST);
+        assert_eq!(robot.first(9, lost), Some(found), "{covered} s");
+        assert_eq!(robot.conditions[0].since, 0.0);
+        robot.tick(CALM);
+        assert_eq!(robot.conditions[0].since, covered);
+    }
+}
+
+/// A sensor that speaks again, and says what the momentum shows, is believed after 0.5 s, and the engine works; one that says
+/// nothing, or what the momentum does not show, is not.
+#[test]
+fn a_stopped_engine_works_if_sensor_and_momentum_agree() {
+    for (reading, shown, agreed) in [
+        (80.0, 80.0, Some(51)),
+        (80.0, 45.0, Some(51)),
+        (80.0, 35.0, None),
+        (80.0, 0.0, None),
+        (11.0, 11.0, None),
+    ] {
+        let mut robot = Robot::new();
+        assert_eq!(robot.first(5, CALM), None);
+        let lost = robot.without(0, THRUST);
+        assert_eq!(robot.first(3, lost), Some(3));
+        assert_eq!(robot.first(60, CALM), None, "too late to revoke it");
+        let wrench = robot.without(0, -shown);
+        let first = (1..80).find(|tick| {
+            let noise = 1e-3 * f64::from(*tick);
+            robot.state.take_in(0, reading + noise, STEP);
+            robot.judge(wrench, CALM);
+            !robot.is_stopped(0)
+        });
+        assert_eq!(first, agreed, "{reading} N said, {shown} N shown");
+        if agreed.is_some() {
+            assert!(robot.conditions[0].works() && robot.conditions[0].is_believed);
+            assert!((robot.thrust[0] - reading).abs() < 0.1);
+        }
     }
 }
 
@@ -168,7 +227,7 @@ fn a_finding_is_revoked_by_the_thrust_that_is_given() {
         assert_eq!(robot.first(wait, CALM), None);
         let back = robot.without(0, -given);
         assert_eq!(robot.first(9, back), revoked, "{given} N after {wait} ticks");
-        assert_eq!(robot.state.is_stopped(0), revoked.is_none());
+        assert_eq!(robot.is_stopped(0), revoked.is_none());
         assert_eq!(robot.thrust[0], if revoked.is_some() { THRUST } else { 0.0 });
     }
 }
@@ -195,7 +254,7 @@ fn a_second_engine_is_found_too() {
     assert_eq!(robot.first(3, first), Some(3));
     assert_eq!(robot.first(20, CALM), None);
     assert_eq!(robot.first(3, second), Some(3));
-    assert_eq!([0, 1, 2].map(|jet| robot.state.is_stopped(jet)), [true, false, true]);
+    assert_eq!([0, 1, 2].map(|jet| robot.is_stopped(jet)), [true, false, true]);
 }
 
 /// A wrench that lasts is no change: it is compared with the observed one of about a second before, `1 − e^{−t/τ}` of it.

@@ -8,6 +8,8 @@ use crate::flight::{parse, parse_table};
 use crate::qp::answer;
 use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
 use flight_core::control::Present;
+use flight_core::control::detect::engines::EngineMonitor;
+use flight_core::control::engine_condition::EngineCondition;
 use flight_core::control::estimate::joint_tracker::JointMeasurement;
 use flight_core::control::law::contact::ContactState;
 use flight_core::control::law::residual::Residual;
@@ -76,6 +78,48 @@ impl ControllerState {
     fn descent_plan<'py>(&self, py: Python<'py>) -> PyResult<Option<(f64, Output<'py>)>> {
         let plan = self.state.descent_plan().and_then(NonlinearPlan::motion);
         plan.map(|(cost, inputs)| Ok((cost, vector(py, inputs)?))).transpose()
+    }
+
+    /// Conditions of the engines after the last tick, and the evidence for them, by name, of every jet.
+    ///
+    /// `state` (0 works, 1 limited, 2 unconfirmed, 3 stopped), `reaches` (jets, 2) [N], `is_believed`, `since` [s], `taken` [N],
+    /// `evidence`, the name of the finding, and `reading` of its sensor [N]. With a disturbance observer `observed` (6) and
+    /// `residual` (6) [N, N m], and `covered` [s], NaN where no momentum was measured. With `fault_detection.engines`
+    /// `deviation`, `lag`, `outside` and `late` (jets, 2), d, l, d′ and d̄ of force and moment [N], and `monitored` (jets, 4), for
+    /// how long d̄ has exceeded its limit, the sensor has said that most of the thrust is missing, and the momentum has shown
+    /// what was taken away, and has not [s]. With `fault_detection.unmeasured_engines` `before` (6), w̄ [N, N m], and
+    /// `unmeasured` (jets, 3), for how long the sensor has been silent, thrust has been missing or given, and sensor and
+    /// momentum have agreed [s].
+    fn engines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (out, engines) = (PyDict::new(py), self.state.engines());
+        let rows = |width: usize, numbers: Vec<f64>| array(py, &[numbers.len() / width, width], numbers);
+        let of = |number: fn(&EngineCondition) -> f64| engines.iter().map(number).collect::<Vec<_>>();
+        out.set_item("state", vector(py, &of(|engine| f64::from(engine.state.code())))?)?;
+        let reaches = engines.iter().flat_map(|engine| <[f64; 2]>::from(engine.reaches)).collect();
+        out.set_item("reaches", rows(2, reaches)?)?;
+        out.set_item("is_believed", vector(py, &of(|engine| f64::from(u8::from(engine.is_believed))))?)?;
+        out.set_item("since", vector(py, &of(|engine| engine.since))?)?;
+        out.set_item("taken", vector(py, &of(|engine| engine.taken.thrust))?)?;
+        out.set_item("evidence", engines.iter().map(|engine| engine.evidence.name()).collect::<Vec<_>>())?;
+        out.set_item("reading", vector(py, &self.state.estimate().thrust_reading)?)?;
+        if let Some(observer) = self.state.disturbance() {
+            out.set_item("observed", vector(py, observer.wrench().as_slice())?)?;
+            out.set_item("residual", vector(py, observer.residual.as_slice())?)?;
+            out.set_item("covered", observer.covered.unwrap_or(f64::NAN))?;
+        }
+        if let Some(monitors) = self.state.engine_monitors() {
+            let of = |number: fn(&EngineMonitor) -> f64| monitors.iter().map(number).collect::<Vec<_>>();
+            out.set_item("deviation", vector(py, &of(|monitor| monitor.deviation))?)?;
+            out.set_item("lag", vector(py, &of(|monitor| monitor.lag))?)?;
+            out.set_item("outside", vector(py, &of(|monitor| monitor.outside))?)?;
+            out.set_item("late", rows(2, monitors.iter().flat_map(EngineMonitor::late).collect())?)?;
+            out.set_item("monitored", rows(4, monitors.iter().flat_map(EngineMonitor::times).collect())?)?;
+        }
+        if let Some(unmeasured) = self.state.unmeasured_engines() {
+            out.set_item("before", vector(py, unmeasured.before().as_slice())?)?;
+            out.set_item("unmeasured", rows(3, unmeasured.times().flatten().collect())?)?;
+        }
+        Ok(out)
     }
 
     /// Whether all numbers are equal; a NaN, such as that of a missing measurement, is not equal to itself.

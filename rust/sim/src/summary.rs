@@ -234,12 +234,11 @@ impl<'a> Flown<'a> {
         self.data(name).chunks_exact(width).map(total)
     }
 
-    /// Offsets of the centre of mass from its set-point after settling, until the robot descends \[m\].
+    /// Offsets of the centre of mass from its set-point after settling, while the robot does not descend \[m\].
     fn com_errors(&self) -> impl Iterator<Item = Vector3<f64>> + use<'a> {
-        let descending = self.modes().iter().filter(|modes| is_descending(**modes)).count();
-        let pairs = self.rows("com_position").zip(self.rows("com_setpoint"));
-        let followed = pairs.take(self.time.len() - descending).skip(self.settling);
-        followed.map(|(com, desired)| com - desired)
+        let pairs = self.rows("com_position").zip(self.rows("com_setpoint")).zip(self.modes());
+        let followed = pairs.skip(self.settling).filter(|(_, modes)| !is_descending(**modes));
+        followed.map(|((com, desired), _)| com - desired)
     }
 
     fn com_distances(&self) -> impl Iterator<Item = f64> {
@@ -320,7 +319,7 @@ fn ticks_above(mut values: impl Iterator<Item = f64>, limit: f64) -> f64 {
         .unwrap_or(f64::NAN)
 }
 
-/// Whether the robot follows its mission no longer; a descent lasts to the end.
+/// Whether the robot descends in this tick instead of following its mission.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // bits of `Modes`, which are 32
 fn is_descending(modes: f64) -> bool {
     modes as u32 & Modes::DESCENDING.bits() != 0

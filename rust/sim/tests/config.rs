@@ -9,7 +9,7 @@ use flight_io::{AeroConfig, Schema, from_value};
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
 use flight_sim::{
-    Backend, Scenario, ScenarioConfig, SimulatorConfig, WindConfig, load_flyable, onboard, load_scenario,
+    Backend, Scenario, ScenarioConfig, SimulatorConfig, WindConfig, load_flyable, load_scenario, onboard,
 };
 use serde_json::{Value, json};
 use std::collections::BTreeSet;

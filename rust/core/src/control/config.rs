@@ -172,6 +172,14 @@ impl ControllerConfig {
             let expected = "none without controller.disturbance_observer: the momentum distinguishes an engine from its sensor";
             return Err(BuildError::bad_value("controller.fault_detection.engines", "given", expected));
         }
+        if let Some(unmeasured) = &self.fault_detection.unmeasured_engines {
+            if self.fault_detection.engines.is_none() {
+                let expected = "none without controller.fault_detection.engines, which says what follows";
+                let key = "controller.fault_detection.unmeasured_engines";
+                return Err(BuildError::bad_value(key, "given", expected));
+            }
+            unmeasured.check(robot)?;
+        }
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
             let force_max = contact.load_transfer.as_ref().and_then(|transfer| transfer.unmodelled_force_max);

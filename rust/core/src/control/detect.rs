@@ -12,13 +12,15 @@ pub mod tracking_error;
 pub mod unmeasured_engines;
 
 use super::command::Command;
+use super::engine_condition::EngineFinding;
 use super::limits::Limits;
 use super::measure::measurement::Estimate;
 use super::modes::{Mode, Modes, OF_TICK, listed};
 use detector::{Detector, Evidence, Findings, Setup};
 use serde::{Deserialize, Serialize};
 
-/// Makes the set of detectors, their configurations, states and modes from one list, in whose order they run.
+/// Makes the set of detectors, their configurations, states and modes from one list, whose order has no meaning: none reads
+/// what another one finds in the same tick.
 macro_rules! detectors {
     ($($(#[doc = $doc:literal])+ $name:ident: $detector:ty;)*) => {
         /// When a fault counts as found; without its table a detector looks for nothing.
@@ -85,9 +87,9 @@ macro_rules! detectors {
                 limits: &mut Limits,
                 findings: &mut Findings,
             ) {
-                (findings.modes, findings.descends, findings.torque_latency) = <_>::default();
+                (findings.modes, findings.torque_latency) = <_>::default();
                 findings.unmodelled = None;
-                findings.sensor_error.fill(None);
+                findings.engines.fill(EngineFinding::Nothing);
                 $(if let Some((of, state)) = self.$name.as_mut().zip(states.$name.as_mut()) {
                     of.detect(state, tick, limits, findings);
                 })*

@@ -40,6 +40,23 @@ impl JointCondition {
     }
 }
 
+/// Why the robot descends instead of following its mission: it does so for any of these causes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Descent {
+    /// Joints or base have not been measured for too long: to the end of the flight, unless it begins again.
+    pub is_blind: bool,
+    /// An engine is lost: until it works again.
+    pub is_without_engine: bool,
+}
+
+impl Descent {
+    /// Whether the robot descends.
+    #[must_use]
+    pub fn is_active(self) -> bool {
+        self.is_blind || self.is_without_engine
+    }
+}
+
 /// Gains and limits of a tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limits {

@@ -1,13 +1,17 @@
 //! State of a controller that is kept from tick to tick.
 
 use super::acting::Acting;
+use super::detect::engines::EngineMonitor;
+use super::detect::unmeasured_engines::UnmeasuredState;
 use super::detect::{DetectorSizes, DetectorStates};
+use super::engine_condition::EngineCondition;
 use super::estimate::disturbance_observer::ObserverState;
 use super::estimate::estimator::EstimatorState;
 use super::estimate::joint_tracker::InnerLoop;
 use super::estimate::wind_observer::WindState;
 use super::law::contact::ContactState;
 use super::law::setpoint::SetpointState;
+use super::limits::Descent;
 use super::measure::channels::ChannelsState;
 use super::measure::measurement::Estimate;
 use super::mpc::nonlinear::NonlinearPlan;
@@ -55,8 +59,10 @@ pub struct ControllerState {
     pub(super) wind: Option<WindState>,
     /// What detectors keep.
     pub(super) detectors: DetectorStates,
-    /// Whether the robot descends instead of following its mission.
-    pub(super) is_descending: bool,
+    /// Conditions of the engines.
+    pub(super) engines: Vec<EngineCondition>,
+    /// Whether, and why, the robot descends instead of following its mission.
+    pub(super) descent: Descent,
     /// State of the set-point generator.
     pub(super) setpoint: SetpointState,
     /// Reference posture `s_d`: the joint positions of the first tick \[rad\].
@@ -107,6 +113,36 @@ impl ControllerState {
         self.wind.as_ref()
     }
 
+    /// Conditions of the engines.
+    #[must_use]
+    pub fn engines(&self) -> &[EngineCondition] {
+        &self.engines
+    }
+
+    /// The observed wrench and its residual, where it is observed.
+    #[must_use]
+    pub fn disturbance(&self) -> Option<&ObserverState> {
+        self.disturbance.as_ref()
+    }
+
+    /// Monitors of the engines, where they are looked at.
+    #[must_use]
+    pub fn engine_monitors(&self) -> Option<&[EngineMonitor]> {
+        self.detectors.engines.as_deref()
+    }
+
+    /// What is kept of engines without measured thrusts, where they are looked at.
+    #[must_use]
+    pub fn unmeasured_engines(&self) -> Option<&UnmeasuredState> {
+        self.detectors.unmeasured_engines.as_ref()
+    }
+
+    /// Whether, and why, the robot descends instead of following its mission.
+    #[must_use]
+    pub fn descent(&self) -> Descent {
+        self.descent
+    }
+
     /// State of the set-point generator.
     #[must_use]
     pub fn setpoint(&self) -> &SetpointState {
@@ -117,12 +153,6 @@ impl ControllerState {
     #[must_use]
     pub fn contact(&self) -> &ContactState {
         &self.contact
-    }
-
-    /// Height of the centre of mass at touch-down \[m\]; `−∞` where it is not known.
-    #[must_use]
-    pub fn ground(&self) -> f64 {
-        self.ground
     }
 
     /// Reference posture `s_d` \[rad\].

@@ -1,6 +1,7 @@
 //! Intermediate values of a tick, in the order in which they are computed.
 
 use super::detect::detector::Findings;
+use super::engine_condition::EngineFinding;
 use super::law::attitude::AttitudeDemand;
 use super::law::contact::Contact;
 use super::law::momentum::{AeroFeedback, MomentumModel};
@@ -88,7 +89,7 @@ impl Terms {
             residual: DVector::zeros(jets + joints),
             torque_qp,
             unlimited_torque: DVector::zeros(joints),
-            findings: Findings { sensor_error: vec![None; jets], ..Findings::default() },
+            findings: Findings { engines: vec![EngineFinding::Nothing; jets], ..Findings::default() },
         }
     }
 

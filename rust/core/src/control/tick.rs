@@ -11,6 +11,7 @@ mod steer;
 use super::acting::Acting;
 use super::command::{BadCommand, Command};
 use super::detect::Detectors;
+use super::engine_condition::{EngineCondition, EngineLimits};
 use super::estimate::disturbance_observer::{DisturbanceObserverConfig, ObserverState};
 use super::estimate::estimator::Estimator;
 use super::estimate::joint_tracker::{InnerLoop, JointMeasurement, JointTracker};
@@ -20,7 +21,7 @@ use super::law::momentum::AeroFeedback;
 use super::law::momentum_qp::Task;
 use super::law::residual::{Policy, Residual};
 use super::law::setpoint::{Setpoint, SetpointGenerator};
-use super::limits::Limits;
+use super::limits::{Descent, Limits};
 use super::measure::channels::Channels;
 use super::measure::greatest;
 use super::measure::measurement::{BadStart, Estimate, Measurement};
@@ -61,6 +62,8 @@ pub struct Controller {
     observer: Option<DisturbanceObserverConfig>,
     has_feet: bool,
     detectors: Detectors,
+    /// What follows from the conditions of the engines.
+    engines: EngineLimits,
     /// Limits of the law while nothing is found.
     usual: Limits,
     law: Law,
@@ -119,7 +122,8 @@ impl Controller {
             acting: Acting::new(joints, jets, feet),
             disturbance: self.observer.map(|_| ObserverState::default()),
             wind: self.wind.as_ref().map(WindObserver::start),
-            is_descending: false,
+            engines: vec![EngineCondition::default(); jets],
+            descent: Descent::default(),
             setpoint: law.generator().start(com, &robot.base.rotation),
             posture: robot.joint_position.clone(),
             ground: com.z,
@@ -165,7 +169,11 @@ impl Controller {
         let (preview, has_valid_preview) = given.preview.checked();
         let Self { model, aero, conventions, feedback, .. } = self;
         self.terms.update_model(model, aero, *conventions, *feedback, &state.estimate.robot);
+        let descends = state.descent.is_active();
         self.detect(state);
+        if descends && !state.descent.is_active() {
+            self.law.resume(state, given.setpoint, &mut self.terms);
+        }
         let Self { model, aero, law, policy, torques, terms, command, .. } = self;
         command.modes = state.estimate.modes;
         command.modes.insert_if(!is_valid, Modes::SETPOINT_IGNORED);
@@ -385,6 +393,6 @@ fn begin_again(
         state.velocity_error_integral.fill(0.0);
         state.torque_is_known = false;
         state.plan.discard();
-        state.is_descending = false;
+        state.descent.is_blind = false;
     }
 }

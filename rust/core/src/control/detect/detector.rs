@@ -2,6 +2,7 @@
 
 use crate::control::acting::Acting;
 use crate::control::command::Command;
+use crate::control::engine_condition::{EngineCondition, EngineFinding};
 use crate::control::estimate::disturbance_observer::ObserverState;
 use crate::control::estimate::estimator::EstimatorConfig;
 use crate::control::law::momentum::MomentumModel;
@@ -53,6 +54,10 @@ pub struct Evidence<'a> {
     pub disturbance: Option<&'a ObserverState>,
     /// The set-point of the time of the state.
     pub setpoint: &'a Setpoint,
+    /// Time that the measured momentum of this tick covers, since the one before \[s\]; `None` where none is measured.
+    pub covered: Option<f64>,
+    /// Conditions of the engines before this tick.
+    pub engines: &'a [EngineCondition],
     /// Whether the feet carry load.
     pub is_standing: bool,
 }
@@ -62,12 +67,10 @@ pub struct Evidence<'a> {
 pub struct Findings {
     /// Modes of the tick.
     pub modes: Modes,
-    /// Error of each thrust sensor that is found to be wrong in this tick \[N\].
-    pub sensor_error: Vec<Option<f64>>,
+    /// What is found of each engine in this tick.
+    pub engines: Vec<EngineFinding>,
     /// Observed wrench in place of one that has taken in what is found \[N, N m\].
     pub unmodelled: Option<Vector6<f64>>,
-    /// Whether the robot is to descend.
-    pub descends: bool,
     /// Measured latency of torques and thrust rates, as far as it is known \[s\].
     pub latency: [Option<f64>; 2],
     /// Latency of the torques that the estimator is to use in place of the known one \[s\].

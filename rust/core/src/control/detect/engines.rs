@@ -9,14 +9,18 @@
 //!
 //! If `|d̄|` stays above its limit for a confirmation time, either the engine does not reach its commanded thrust or
 //! its sensor is wrong. Wrong sensors add `−d` times their jets' columns of `A_T` to the residual of the momentum,
-//! engines add nothing; several that deviate at once are one or the other together. The thrust at which an engine
-//! stops becomes a bound on its commanded thrust, and an engine whose bounds are close together is lost. Equations
-//! M105, M106, M144 and M176 of `docs/model`.
+//! engines add nothing; several that deviate at once are one or the other together. What follows from a finding says the
+//! table of [`EngineCondition`]. Equations M105, M106, M144, M176 and M181 of `docs/model`.
+//!
+//! While no momentum is measured, a sensor that says that most of the thrust is missing is believed, if it is the only one:
+//! an engine that stops turns the robot over in less time than a gap may last. The momentum revokes that, or confirms it,
+//! when it is measured again.
 //!
 //! Where the speed of a shaft is measured, it alone judges the engine: a deviation beyond that of engines whose ramps are
 //! slower and faster than known is the engine's, whatever the momentum shows.
 
 use super::detector::{Detector, Evidence, Findings, Setup};
+use crate::control::engine_condition::{EngineCondition, EngineFinding, EngineState};
 use crate::control::estimate::disturbance_observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
 use crate::control::limits::Limits;
@@ -47,6 +51,21 @@ const MEMORY: f64 = 0.5;
 
 /// Time for which a deviation has to exceed its limit \[s\].
 const CONFIRMATION: f64 = 0.03;
+
+/// Without momentum: time for which most of the thrust has to be missing \[s\], by how many limits, and which share of the
+/// commanded thrust that is.
+const UNSEEN_CONFIRMATION: f64 = 0.05;
+const UNSEEN_LIMITS: f64 = 2.0;
+const UNSEEN_SHARE: f64 = 0.75;
+
+/// Time of measured momentum in which an unseen stop is revoked, and after which it is kept \[s\].
+const REVOCATION: f64 = 0.02;
+
+/// Least share of a change of the unmodelled wrench that one engine explains, and of its thrust that one which works gives
+/// after it was taken away: pushes and gusts mostly have other directions.
+pub(super) const EXPLAINED: f64 = 0.9;
+pub(super) const GIVEN: f64 = 0.5;
+const KEEPING: f64 = 0.1;
 
 /// When an engine counts as not reaching its thrust, and when as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -98,9 +117,9 @@ impl DescentConfig {
     }
 }
 
-/// Monitor state of one engine.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct EngineState {
+/// Monitor of one engine.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct EngineMonitor {
     /// `d` \[N\].
     pub deviation: f64,
     /// Thrust rate of an engine that follows the commands at the limits of its throttle, `Ṫ_e` \[N/s\].
@@ -117,12 +136,15 @@ pub struct EngineState {
     late: [[f64; 2]; 2],
     /// Whether the speed of its shaft is measured, which judges it.
     is_of_speed: bool,
-    /// Whether the part of `d` outside exceeds half of its limit: the thrust may not be the one that is used.
-    pub is_doubted: bool,
+    /// The part of `d` outside `[0, λ l]` \[N\].
+    pub outside: f64,
     /// For how long `|d̄|` has exceeded its limit.
     suspected: Exceeded,
-    /// Least and greatest thrust that the engine has been found to reach \[N\].
-    pub range: (f64, f64),
+    /// For how long the sensor has said that most of the commanded thrust is missing.
+    lacking: Exceeded,
+    /// For how long of measured momentum that has shown what an unseen stop took away, and has not.
+    given: Exceeded,
+    kept: Exceeded,
 }
 
 /// What the monitor of an engine is given in a tick.
@@ -140,36 +162,7 @@ pub struct EngineSample {
     pub command: f64,
 }
 
-impl Default for EngineState {
-    fn default() -> Self {
-        Self {
-            deviation: 0.0,
-            rate: 0.0,
-            lag: 0.0,
-            ramping: Default::default(),
-            fit: [0.0; 2],
-            late: [[0.0; 2]; 2],
-            is_of_speed: false,
-            is_doubted: false,
-            suspected: Exceeded::default(),
-            range: (0.0, f64::INFINITY),
-        }
-    }
-}
-
-impl EngineState {
-    /// Whether a limit of the engine's thrust has been found.
-    #[must_use]
-    pub fn is_limited(&self) -> bool {
-        self.range != Self::default().range
-    }
-
-    /// Whether the thrust range is too small for flight; `thrust_max` is the greatest thrust of the jet \[N\].
-    #[must_use]
-    pub fn is_lost(&self, descent: &DescentConfig, thrust_max: f64) -> bool {
-        self.range.1 - self.range.0 < descent.range_fraction_min * thrust_max
-    }
-
+impl EngineMonitor {
     /// Updates the monitor `dt` \[s\] after the last tick.
     ///
     /// `momentum_fractions` are the fractions of a change of force and moment that appear in the estimated momentum per
@@ -183,7 +176,8 @@ impl EngineState {
         momentum_fractions: Option<[f64; 2]>,
     ) {
         let EngineSample { thrust, innovation, is_measured, is_of_speed, command } = sample;
-        let kept = libm::exp(-dt / MEMORY);
+        // Without momentum nothing is forgotten: an error of the sensor that comes and goes leaves nothing to be judged.
+        let kept = momentum_fractions.map_or(1.0, |_| libm::exp(-dt / MEMORY));
         self.deviation = kept * self.deviation + innovation;
         self.is_of_speed = is_of_speed;
         if let Some(shafts) = &models.ramping {
@@ -211,7 +205,9 @@ impl EngineState {
         let (_, [slower, faster]) = self.ramping;
         let (least, greatest) = (lag.min(slower).min(faster).min(0.0), lag.max(slower).max(faster).max(0.0));
         let outside = self.deviation - self.deviation.max(least).min(greatest);
-        self.is_doubted = outside.abs() > half;
+        self.outside = outside;
+        let lacked = (UNSEEN_LIMITS * config.deviation_max).max(UNSEEN_SHARE * (thrust - outside));
+        self.lacking.update(-outside > lacked && !is_of_speed, dt);
         match momentum_fractions {
             _ if is_of_speed => self.late = [[outside; 2]; 2],
             None => {
@@ -230,22 +226,46 @@ impl EngineState {
         self.suspected.update(self.late()[1].abs() > greatest, dt);
     }
 
+    /// For how long `|d̄|` has exceeded its limit, and the sensor has said that most of the thrust is missing; and for how long
+    /// of measured momentum that has shown what an unseen stop took away, and has not \[s\].
+    #[must_use]
+    pub fn times(&self) -> [f64; 4] {
+        [self.suspected, self.lacking, self.given, self.kept].map(|of| of.time())
+    }
+
     /// `d̄` \[N\], as late as the momentum's force and as its moment.
-    fn late(&self) -> [f64; 2] {
+    #[must_use]
+    pub fn late(&self) -> [f64; 2] {
         self.late.map(|[_, late]| late)
     }
 
-    /// Whether the sensor may be wrong: half of the limit is enough beside another one.
-    fn is_suspect(&self, config: &EnginesConfig) -> bool {
-        !self.is_limited() && !self.is_of_speed && 2.0 * self.late()[1].abs() > config.deviation_max
+    /// Whether the sensor of an engine that works may be wrong: half of the limit is enough beside another one.
+    fn is_suspect(&self, config: &EnginesConfig, condition: &EngineCondition) -> bool {
+        condition.works() && !self.is_of_speed && 2.0 * self.late()[1].abs() > config.deviation_max
     }
 
-    /// Narrows the range by the thrust \[N\] at which the engine stopped.
-    fn narrow(&mut self, thrust: f64) {
-        let (least, greatest) = self.range;
-        let is_short = self.late()[1] < 0.0;
-        self.range = if is_short { (least.min(thrust), thrust) } else { (thrust, greatest.max(thrust)) };
+    /// The finding of an engine that does not follow its commands.
+    fn out_of_reach(&self, thrust: f64) -> EngineFinding {
+        EngineFinding::OutOfReach { thrust, is_short: self.late()[1] < 0.0 }
     }
+}
+
+/// What a tick shows of the momentum.
+#[derive(Debug, Clone, Copy)]
+pub enum Shown<'a> {
+    /// It is measured.
+    Measured {
+        /// `A_T`.
+        a_t: &'a Matrix6xX<f64>,
+        /// Residual of the momentum \[N, N m\].
+        residual: &'a Vector6<f64>,
+        /// Time that this measurement covers \[s\].
+        covered: f64,
+    },
+    /// The tick is between two measurements.
+    Between,
+    /// It is not measured.
+    Nothing,
 }
 
 /// What a healthy engine may do beside the prediction.
@@ -270,39 +290,38 @@ impl Models {
     }
 }
 
-/// Monitors of all engines of a robot, and the limits of the law that follow from them.
+/// Monitors of all engines of a robot.
 #[derive(Debug, Clone)]
 pub struct Engines {
     config: EnginesConfig,
     /// Fractions of a change of force and moment that appear in the estimated momentum per tick, 1 where measured.
     momentum_fractions: [f64; 2],
     models: Vec<Models>,
-    usual: Limits,
-    /// Limits after the loss of an engine.
-    descending: Option<(DescentConfig, Limits)>,
 }
 
 impl Detector for Engines {
     type Config = EnginesConfig;
-    type State = Vec<EngineState>;
+    type State = Vec<EngineMonitor>;
     const MODES: &'static [Mode] = &MODES;
 
     fn build(config: &EnginesConfig, of: &Setup) -> Self {
-        Self::new(config, of.usual, of.robot, of.momentum_fractions, of.jet_dynamics)
+        let mut engines = Self::new(config, of.robot, of.momentum_fractions, of.jet_dynamics);
+        engines.models.truncate(of.usual.thrust.len()); // none for a controller that does not use them
+        engines
     }
 
     fn start(&self, _: &Estimate) -> Self::State {
-        vec![EngineState::default(); self.usual.thrust.len()]
+        vec![EngineMonitor::default(); self.models.len()]
     }
 
     fn detect(
         &mut self,
-        engines: &mut Self::State,
+        monitors: &mut Self::State,
         tick: &Evidence,
-        limits: &mut Limits,
+        _: &mut Limits,
         findings: &mut Findings,
     ) {
-        let Evidence { estimate, acting, momentum, disturbance, is_standing, .. } = *tick;
+        let Evidence { estimate, acting, momentum, disturbance, covered, engines, .. } = *tick;
         let is_measured = !estimate.modes.contains(Modes::THRUST_MODELLED);
         let samples = |jet: usize| EngineSample {
             thrust: estimate.robot.thrust[jet],
@@ -311,105 +330,147 @@ impl Detector for Engines {
             is_of_speed: estimate.is_of_speed[jet],
             command: acting.thrust_rate[jet],
         };
-        let residual =
-            disturbance.filter(|_| estimate.has_momentum()).map(|of| (&momentum.a_t, &of.residual));
-        let is_between = estimate.momentum == Sampling::Between && disturbance.is_some();
-        self.update(engines, estimate.elapsed, samples, residual, is_between, &mut findings.sensor_error);
-        if engines.iter().any(EngineState::is_limited) {
-            findings.modes.insert(Modes::ENGINE_LIMITED);
-        }
-        findings.descends |= self.limit(engines, is_standing, limits);
+        let shown = match disturbance.zip(covered) {
+            Some((observer, covered)) => {
+                Shown::Measured { a_t: &momentum.a_t, residual: &observer.residual, covered }
+            }
+            None if estimate.momentum == Sampling::Unknown => Shown::Nothing,
+            None => Shown::Between,
+        };
+        self.update(monitors, engines, estimate.elapsed, samples, shown, &mut findings.engines);
     }
 }
 
 impl Engines {
-    /// Monitors of the engines of `robot`, for a law with these limits while all engines work.
+    /// Monitors of the engines of `robot`.
     #[must_use]
     pub fn new(
         config: &EnginesConfig,
-        usual: &Limits,
         robot: &RobotModel,
         momentum_fractions: [f64; 2],
         dynamics: JetDynamics,
     ) -> Self {
         let models = robot.jets.iter().map(|jet| Models::new(jet.engine, dynamics)).collect();
-        let joints = robot.joints.iter();
-        let descending = |descent: DescentConfig| Limits {
-            gains: descent.momentum,
-            holds_position: false,
-            joint_velocity: joints.clone().map(|joint| descent.velocity_max(joint)).collect(),
-            torque_rate: joints.map(|joint| descent.torque_rate_max(joint)).collect(),
-            ..usual.clone()
-        };
-        let descending = config.descent.map(|descent| (descent, descending(descent)));
-        Self { config: *config, momentum_fractions, models, usual: usual.clone(), descending }
+        Self { config: *config, momentum_fractions, models }
     }
 
-    /// Processes a sample of each engine, `dt` \[s\] after the last; `sensor_error` \[N\] is written for the sensors that
-    /// are found to be wrong, whose engines are as at the start, and the range of engines that do not reach their
-    /// thrust is narrowed.
-    ///
-    /// `momentum` is `A_T` and the residual of the momentum \[N, N m\], where it is measured; otherwise nothing is judged,
-    /// and the monitors start anew unless the tick `is_between` two measurements.
+    /// Processes a sample of each engine in its condition, `dt` \[s\] after the last, and what is shown of the momentum.
+    /// What is found joins `findings`. Between two measurements of the momentum nothing is judged; while it is not
+    /// measured the monitors start anew, and only an engine that has stopped is found.
     pub fn update(
         &self,
-        engines: &mut [EngineState],
+        monitors: &mut [EngineMonitor],
+        engines: &[EngineCondition],
         dt: f64,
         samples: impl Fn(usize) -> EngineSample,
-        momentum: Option<(&Matrix6xX<f64>, &Vector6<f64>)>,
-        is_between: bool,
-        sensor_error: &mut [Option<f64>],
+        shown: Shown,
+        findings: &mut [EngineFinding],
     ) {
-        let Self { config, models, .. } = self;
-        let shares = (momentum.is_some() || is_between).then_some(self.momentum_fractions);
-        let is_confirmed = |engine: &EngineState| engine.suspected.has_lasted(CONFIRMATION, dt);
-        for (jet, (engine, models)) in engines.iter_mut().zip(models).enumerate() {
-            engine.update(config, models, dt, samples(jet), shares);
-            if engine.is_of_speed && is_confirmed(engine) {
-                engine.narrow(samples(jet).thrust);
+        let shares = (!matches!(shown, Shown::Nothing)).then_some(self.momentum_fractions);
+        for (jet, (monitor, models)) in monitors.iter_mut().zip(&self.models).enumerate() {
+            monitor.update(&self.config, models, dt, samples(jet), shares);
+            if monitor.is_of_speed && monitor.suspected.has_lasted(CONFIRMATION, dt) {
+                findings[jet] = findings[jet].or(monitor.out_of_reach(samples(jet).thrust));
             }
         }
-        let Some((a_t, residual)) = momentum else { return };
-        if !engines.iter().any(is_confirmed) {
+        match shown {
+            Shown::Measured { a_t, residual, covered } => {
+                Self::judge_unconfirmed(monitors, engines, a_t, residual, covered, findings);
+                self.judge(monitors, engines, dt, samples, a_t, residual, findings);
+            }
+            Shown::Between => (),
+            Shown::Nothing => Self::judge_unseen(monitors, engines, dt, samples, findings),
+        }
+    }
+
+    /// Engines or sensors: what has deviated for long enough, by the residual of the momentum.
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "monitors, conditions, samples and the momentum of one tick"
+    )]
+    fn judge(
+        &self,
+        monitors: &mut [EngineMonitor],
+        engines: &[EngineCondition],
+        dt: f64,
+        samples: impl Fn(usize) -> EngineSample,
+        a_t: &Matrix6xX<f64>,
+        residual: &Vector6<f64>,
+        findings: &mut [EngineFinding],
+    ) {
+        let is_confirmed = |monitor: &EngineMonitor, engine: &EngineCondition| {
+            engine.state != EngineState::Unconfirmed && monitor.suspected.has_lasted(CONFIRMATION, dt)
+        };
+        if !monitors.iter().zip(engines).any(|(monitor, engine)| is_confirmed(monitor, engine)) {
             return;
         }
         let mut wrench = Vector6::zeros();
-        for (column, engine) in
-            a_t.column_iter().zip(&*engines).filter(|(_, engine)| engine.is_suspect(config))
+        let all = monitors.iter().zip(engines);
+        for (column, (monitor, _)) in a_t
+            .column_iter()
+            .zip(all)
+            .filter(|(_, (monitor, engine))| monitor.is_suspect(&self.config, engine))
         {
-            wrench += Vector6::from_fn(|row, _| column[row] * engine.late()[row / 3]);
+            wrench += Vector6::from_fn(|row, _| column[row] * monitor.late()[row / 3]);
         }
         let are_sensors = explains(&wrench, residual);
-        for (jet, engine) in engines.iter_mut().enumerate() {
-            if are_sensors && engine.is_suspect(config) {
-                sensor_error[jet] = Some(engine.deviation);
-                *engine = EngineState::default();
-            } else if is_confirmed(engine) {
-                engine.narrow(samples(jet).thrust);
+        for (jet, (monitor, engine)) in monitors.iter_mut().zip(engines).enumerate() {
+            if are_sensors && monitor.is_suspect(&self.config, engine) {
+                findings[jet] = findings[jet].or(EngineFinding::WrongSensor { error: monitor.deviation });
+                *monitor = EngineMonitor::default();
+            } else if is_confirmed(monitor, engine) {
+                findings[jet] = findings[jet].or(monitor.out_of_reach(samples(jet).thrust));
             }
         }
     }
 
-    /// Writes the limits of the law: of a limited engine the thrusts it reaches, so that the others take over its share;
-    /// after the loss of an engine those of the descent, unless the robot is standing. An engine may be lost by the thrusts
-    /// that the limits have before. Returns whether one is lost.
-    pub fn limit(&self, engines: &[EngineState], is_standing: bool, limits: &mut Limits) -> bool {
-        let thrusts = engines.iter().zip(&self.usual.thrust).zip(&limits.thrust);
-        let descending = self.descending.as_ref().filter(|(descent, _)| {
-            thrusts.clone().any(|((engine, (_, thrust_max)), (_, greatest))| {
-                engine.is_lost(descent, *thrust_max) || *greatest < descent.range_fraction_min * thrust_max
-            })
-        });
-        if let Some((_, of_descent)) = descending.filter(|_| !is_standing) {
-            limits.descend(of_descent);
+    /// Without momentum: an engine has stopped if its sensor alone says so. Where several do it is the sensors.
+    fn judge_unseen(
+        monitors: &mut [EngineMonitor],
+        engines: &[EngineCondition],
+        dt: f64,
+        samples: impl Fn(usize) -> EngineSample,
+        findings: &mut [EngineFinding],
+    ) {
+        let is_lacking = |(monitor, engine): &(&EngineMonitor, &EngineCondition)| {
+            monitor.lacking.time() > 0.0 && !engine.has_stopped()
+        };
+        let is_alone = monitors.iter().zip(engines).filter(is_lacking).count() == 1;
+        for (jet, (monitor, engine)) in monitors.iter_mut().zip(engines).enumerate() {
+            (monitor.given, monitor.kept) = <_>::default();
+            if is_alone && !engine.has_stopped() && monitor.lacking.has_lasted(UNSEEN_CONFIRMATION, dt) {
+                let found =
+                    EngineFinding::StoppedUnseen { thrust: samples(jet).thrust, lacks: -monitor.outside };
+                findings[jet] = findings[jet].or(found);
+            }
         }
-        let of_law = limits.thrust.iter_mut().zip(&mut limits.works);
-        for (engine, (range, works)) in engines.iter().zip(of_law) {
-            *works &= !engine.is_limited();
-            let greatest = engine.range.1.min(range.1);
-            *range = (engine.range.0.max(range.0).min(greatest), greatest);
+    }
+
+    /// What the momentum says of a stop that was found without it: the thrust that its sensor lacks is there, or not.
+    fn judge_unconfirmed(
+        monitors: &mut [EngineMonitor],
+        engines: &[EngineCondition],
+        a_t: &Matrix6xX<f64>,
+        residual: &Vector6<f64>,
+        covered: f64,
+        findings: &mut [EngineFinding],
+    ) {
+        for (jet, (monitor, engine)) in monitors.iter_mut().zip(engines).enumerate().take(a_t.ncols()) {
+            let is_unconfirmed = engine.state == EngineState::Unconfirmed;
+            // By size and direction: where a gap ends the estimated velocity steps, in any direction.
+            let column: Vector6<f64> = a_t.column(jet).into();
+            let (along, square) = (product(residual, &column), product(&column, &column));
+            let is_aligned = along * along > EXPLAINED * square * product(residual, residual);
+            let gives = is_aligned && along > GIVEN * engine.taken.thrust * square;
+            monitor.given.update(is_unconfirmed && gives, covered);
+            monitor.kept.update(is_unconfirmed && !gives, covered);
+            if monitor.given.has_lasted(REVOCATION, covered) {
+                findings[jet] = findings[jet].or(EngineFinding::Given);
+                *monitor = EngineMonitor::default();
+            } else if monitor.kept.has_lasted(KEEPING, covered) {
+                findings[jet] = findings[jet].or(EngineFinding::Kept);
+            }
         }
-        descending.is_some()
     }
 }
 

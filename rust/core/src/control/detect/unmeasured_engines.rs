@@ -7,17 +7,23 @@
 //! e_i = ⟨w − w̄, a_i⟩² / (⟨a_i, a_i⟩ ⟨w − w̄, w − w̄⟩)    share of the change that this explains
 //! ```
 //!
-//! A thrust that is missing, or has the same bits, for two ticks says nothing about its engine: the jet is a suspect. Ideal
-//! sensors and rounded thrusts repeat bits too, so the momentum decides. If the suspect that explains most lacks much of its
-//! thrust for a confirmation time, its engine has stopped: its thrust is zero, its sensor is not used any more, and the
-//! observed wrench is the one of before. If the momentum soon shows the thrust that was taken away, the engine works.
-//! Equation M177 of `docs/model`.
+//! A thrust that is missing, or has the same bits, for two hundredths of a second says nothing about its engine: the jet is a
+//! suspect. Ideal sensors and rounded thrusts repeat bits too, so the momentum decides. If the suspect that explains most
+//! lacks much of its thrust for a confirmation time, its engine has stopped, and the observed wrench is the one of before. If
+//! the momentum soon shows the thrust that was taken away, or a sensor that speaks again and the momentum agree for long
+//! enough, the engine works. Times are those that measured momenta cover. What follows from a finding says the table of
+//! [`EngineCondition`]. Equation M177 of `docs/model`.
 
 use super::detector::{Detector, Evidence, Findings, Setup};
-use super::engines::product;
+use super::engines::{EXPLAINED, GIVEN, explains, product};
+use crate::control::engine_condition::{EngineCondition, EngineFinding, EngineState};
+use crate::control::law::momentum::MomentumModel;
 use crate::control::limits::Limits;
 use crate::control::measure::measurement::{Estimate, Sampling};
-use crate::control::modes::{Mode, Modes, modes};
+use crate::control::modes::{Mode, modes};
+use crate::error::BuildError;
+use crate::kinematics::{Kinematics, RobotState};
+use crate::robot::RobotModel;
 use crate::timing::{Exceeded, share};
 use nalgebra::{Matrix6xX, Vector6};
 use serde::{Deserialize, Serialize};
@@ -28,24 +34,23 @@ modes! {
     ENGINE_STOPPED = 24, "engine_stopped";
 }
 
-/// Ticks without a new thrust after which a jet is a suspect.
-const REPEATED: u32 = 2;
+/// Time without a new thrust after which a jet is a suspect \[s\].
+const REPEATED: f64 = 0.01;
 
 /// Time constant `τ` of the wrench of before \[s\].
 const MEMORY: f64 = 1.0;
 
-/// Least share of the change that a stopped engine explains: pushes and gusts mostly have other directions.
-const EXPLAINED: f64 = 0.9;
-
-/// Least share of its thrust that a stopped engine lacks, and that one which works gives after it was taken away.
+/// Least share of its thrust that a stopped engine lacks.
 const LACKED: f64 = 0.4;
-const GIVEN: f64 = 0.5;
 
 /// Time for which thrust has to be missing, or given \[s\].
 const CONFIRMATION: f64 = 0.02;
 
 /// Time after a finding in which the momentum can revoke it \[s\].
 const REVOCATION: f64 = 0.5;
+
+/// Time for which a sensor that speaks again and the momentum have to agree \[s\].
+const AGREEMENT: f64 = 0.5;
 
 /// When an engine without a measured thrust counts as stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -56,15 +61,50 @@ pub struct UnmeasuredEnginesConfig {
     pub force_min: f64,
 }
 
+impl UnmeasuredEnginesConfig {
+    /// Refuses a robot two of whose jets the momentum cannot distinguish, upright with its joints as near to zero as they
+    /// come.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key and both jets.
+    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
+        let mut state = RobotState::zero(robot.joints.len());
+        for (position, joint) in state.joint_position.iter_mut().zip(&robot.joints) {
+            *position = 0.0_f64.max(joint.limits.0).min(joint.limits.1);
+        }
+        let (mut kinematics, mut momentum) = (Kinematics::new(robot), MomentumModel::new(robot));
+        kinematics.update(robot, &state);
+        momentum.place_jets(robot, &kinematics);
+        let columns: Vec<Vector6<f64>> = momentum.a_t.column_iter().map(Into::into).collect();
+        for (place, (one, jet)) in columns.iter().zip(&robot.jets).enumerate() {
+            for (other, with) in columns.iter().zip(&robot.jets).take(place) {
+                let along = product(one, other);
+                let share = along * along / (product(one, one) * product(other, other));
+                if share > EXPLAINED {
+                    let (jet, with) = (&jet.name, &with.name);
+                    let key = "controller.fault_detection.unmeasured_engines";
+                    let expected = format!(
+                        "none for this robot: `{jet}` explains {share:.2} of the wrench of `{with}`, and one that \
+                         has stopped is told from others by a share of {EXPLAINED}"
+                    );
+                    return Err(BuildError::bad_value(key, "given", expected));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
 /// What is kept of one jet.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Jet {
-    /// The last thrust \[N\], and for how many ticks there has been no other.
-    last: (f64, u32),
+    /// The last reading of its thrust \[N\], and for how long there has been no other.
+    last: Option<f64>,
+    silent: Exceeded,
     /// For how long thrust has been missing, or given after a finding.
     exceeded: Exceeded,
-    /// Thrust that was taken away \[N\], and the time since then \[s\]; `None` while the engine works.
-    stopped: Option<(f64, f64)>,
+    /// For how long sensor and momentum have agreed after one.
+    agrees: Exceeded,
 }
 
 /// State of the detector, kept from tick to tick.
@@ -82,17 +122,24 @@ impl UnmeasuredState {
         Self { before: Vector6::zeros(), jets: vec![Jet::default(); jets] }
     }
 
-    /// Takes in the thrust of a jet \[N\], and its difference from the prediction, zero where it is not measured.
-    pub fn take_in(&mut self, jet: usize, thrust: f64, innovation: f64) {
-        let last = &mut self.jets[jet].last;
-        let is_new = innovation != 0.0 && thrust.to_bits() != last.0.to_bits();
-        *last = (thrust, if is_new { 0 } else { last.1.saturating_add(1) });
+    /// Takes in what the sensor of a jet says \[N\], NaN for nothing, `dt` \[s\] after the last time.
+    pub fn take_in(&mut self, jet: usize, reading: f64, dt: f64) {
+        let Jet { last, silent, .. } = &mut self.jets[jet];
+        let is_new = reading.is_finite() && last.is_none_or(|last| last.to_bits() != reading.to_bits());
+        silent.update(!is_new, dt);
+        *last = if is_new { Some(reading) } else { *last };
     }
 
-    /// Whether the engine of a jet has been found to have stopped.
+    /// `w̄` \[N, N m\].
     #[must_use]
-    pub fn is_stopped(&self, jet: usize) -> bool {
-        self.jets[jet].stopped.is_some()
+    pub fn before(&self) -> &Vector6<f64> {
+        &self.before
+    }
+
+    /// Of every jet for how long its sensor has said nothing new, for how long thrust has been missing, or given after a
+    /// finding, and for how long sensor and momentum have agreed after one \[s\].
+    pub fn times(&self) -> impl Iterator<Item = [f64; 3]> {
+        self.jets.iter().map(|jet| [jet.silent, jet.exceeded, jet.agrees].map(|of| of.time()))
     }
 }
 
@@ -114,9 +161,8 @@ impl Detector for UnmeasuredEngines {
     }
 
     fn measure(&self, state: &mut UnmeasuredState, measured: &Estimate) {
-        let thrusts = measured.robot.thrust.iter().zip(&measured.thrust_innovation);
-        for (jet, (thrust, innovation)) in thrusts.enumerate().take(state.jets.len()) {
-            state.take_in(jet, *thrust, *innovation);
+        for (jet, reading) in measured.thrust_reading.iter().enumerate().take(state.jets.len()) {
+            state.take_in(jet, *reading, measured.elapsed);
         }
     }
 
@@ -124,42 +170,58 @@ impl Detector for UnmeasuredEngines {
         &mut self,
         state: &mut UnmeasuredState,
         tick: &Evidence,
-        limits: &mut Limits,
+        _: &mut Limits,
         findings: &mut Findings,
     ) {
-        let Evidence { estimate, momentum, disturbance, is_standing, .. } = *tick;
-        if let Some(observer) = disturbance.filter(|_| estimate.has_momentum() && !is_standing) {
-            let (now, thrust) = ([observer.wrench(), &observer.residual], &estimate.robot.thrust);
-            let errors = &mut findings.sensor_error;
-            findings.unmodelled = self.judge(state, estimate.elapsed, now, &momentum.a_t, thrust, errors);
+        let Evidence { estimate, momentum, disturbance, covered, engines, is_standing, .. } = *tick;
+        if let Some((observer, covered)) = disturbance.zip(covered).filter(|_| !is_standing) {
+            let shown = Changed {
+                observed: observer.wrench(),
+                residual: &observer.residual,
+                a_t: &momentum.a_t,
+                thrust: &estimate.robot.thrust,
+                covered,
+                elapsed: estimate.elapsed,
+            };
+            findings.unmodelled = self.judge(state, engines, &shown, &mut findings.engines);
         } else if estimate.momentum == Sampling::Unknown || is_standing {
-            state.jets.iter_mut().for_each(|jet| jet.exceeded = Exceeded::default());
-        }
-        let of_law = limits.thrust.iter_mut().zip(&mut limits.works);
-        for (jet, (range, works)) in state.jets.iter().zip(of_law) {
-            if jet.stopped.is_some() {
-                (*range, *works) = ((0.0, 0.0), false);
-                findings.modes.insert(Modes::ENGINE_STOPPED);
+            for jet in &mut state.jets {
+                (jet.exceeded, jet.agrees) = <_>::default();
             }
         }
     }
 }
 
+/// What a measured momentum shows.
+#[derive(Debug, Clone, Copy)]
+pub struct Changed<'a> {
+    /// Observed wrench `ŵ` \[N, N m\].
+    pub observed: &'a Vector6<f64>,
+    /// Its residual `n` \[N, N m\].
+    pub residual: &'a Vector6<f64>,
+    /// `A_T`.
+    pub a_t: &'a Matrix6xX<f64>,
+    /// Thrusts that are used \[N\].
+    pub thrust: &'a [f64],
+    /// Time since the last measured momentum, and since the last tick \[s\].
+    pub covered: f64,
+    /// Time since the last tick \[s\].
+    pub elapsed: f64,
+}
+
 impl UnmeasuredEngines {
-    /// Judges the suspects by the observed wrench and its residual \[N, N m\], `dt` \[s\] after the last measured momentum, with
-    /// `A_T` and the thrusts that are used \[N\]. Writes the errors of these into `sensor_error`, in each tick those of the
-    /// engines that have stopped, whose models would run on at idle. Returns the wrench of before where it finds or revokes.
+    /// Judges the suspects, and what was found of engines in these conditions. What is found joins `findings`. Returns the
+    /// wrench of before where it finds or revokes.
     pub fn judge(
         &self,
         state: &mut UnmeasuredState,
-        dt: f64,
-        [observed, residual]: [&Vector6<f64>; 2],
-        a_t: &Matrix6xX<f64>,
-        thrust: &[f64],
-        sensor_error: &mut [Option<f64>],
+        engines: &[EngineCondition],
+        shown: &Changed,
+        findings: &mut [EngineFinding],
     ) -> Option<Vector6<f64>> {
         let UnmeasuredState { before, jets } = state;
-        let change = observed + residual - *before;
+        let Changed { observed, residual, a_t, thrust, covered, elapsed } = *shown;
+        let (unmodelled, change) = (observed + residual, observed + residual - *before);
         // What a jet lacks, and which share of the change that explains.
         let lack = |jet: usize| {
             let column: Vector6<f64> = a_t.column(jet).into();
@@ -168,36 +230,42 @@ impl UnmeasuredEngines {
         };
         let least = self.0.force_min;
         let mut found = (None, EXPLAINED);
-        for (index, jet) in jets.iter().enumerate().take(a_t.ncols()) {
+        for (index, (jet, engine)) in jets.iter().zip(engines).enumerate().take(a_t.ncols()) {
             let ((lacked, explained), used) = (lack(index), thrust[index]);
-            let is_suspect = jet.stopped.is_none() && jet.last.1 >= REPEATED && used > least;
+            let is_silent = jet.silent.has_lasted(REPEATED, elapsed);
+            let is_suspect = !engine.has_stopped() && is_silent && used > least;
             if is_suspect && lacked > least.max(LACKED * used) && explained > found.1 {
                 found = (Some(index), explained);
             }
         }
         let (mut is_settled, mut is_changed) = (true, false);
-        for (index, jet) in jets.iter_mut().enumerate().take(a_t.ncols()) {
-            let is_beyond = match &mut jet.stopped {
-                None => found.0 == Some(index),
-                Some((taken, since)) => {
-                    *since += dt;
-                    sensor_error[index] = Some(thrust[index]);
-                    is_settled &= *since >= REVOCATION;
-                    *since < REVOCATION && -lack(index).0 > GIVEN * *taken
-                }
+        for (index, (jet, engine)) in jets.iter_mut().zip(engines).enumerate().take(a_t.ncols()) {
+            let is_stopped = engine.state == EngineState::Stopped;
+            let since = engine.since + covered;
+            let is_recent = is_stopped && since < REVOCATION;
+            let is_beyond = if is_stopped {
+                is_recent && -lack(index).0 > GIVEN * engine.taken.thrust
+            } else {
+                found.0 == Some(index)
             };
-            is_settled &= !is_beyond;
-            jet.exceeded.update(is_beyond, dt);
-            if jet.exceeded.has_lasted(CONFIRMATION, dt) {
-                jet.exceeded = Exceeded::default();
-                is_changed = true;
-                let taken = jet.stopped.take();
-                sensor_error[index] = Some(taken.map_or(thrust[index], |(taken, _)| -taken));
-                jet.stopped = if taken.is_none() { Some((thrust[index], 0.0)) } else { None };
-            }
+            is_settled &= !is_recent && !is_beyond;
+            jet.exceeded.update(is_beyond, covered);
+            let says = jet.last.filter(|_| !jet.silent.has_lasted(REPEATED, elapsed)).unwrap_or(0.0);
+            let agrees = is_stopped && says > least && explains(&(-says * a_t.column(index)), &unmodelled);
+            jet.agrees.update(agrees, covered);
+            let finding = if jet.exceeded.has_lasted(CONFIRMATION, covered) {
+                if is_stopped { EngineFinding::Given } else { EngineFinding::Missing }
+            } else if jet.agrees.has_lasted(AGREEMENT, covered) {
+                EngineFinding::Agreed { thrust: says }
+            } else {
+                continue;
+            };
+            (jet.exceeded, jet.agrees) = <_>::default();
+            is_changed = true;
+            findings[index] = findings[index].or(finding);
         }
         if is_settled {
-            *before += share(dt / MEMORY) * (observed - *before);
+            *before += share(covered / MEMORY) * (observed - *before);
         }
         is_changed.then_some(*before)
     }

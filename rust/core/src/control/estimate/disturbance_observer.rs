@@ -69,6 +69,8 @@ pub struct ObserverState {
     /// Residual: unmodelled wrench of the last hundredths of a second that `ŵ` does not yet contain, `n` of M106 \[N, N
     /// m\].
     pub residual: Vector6<f64>,
+    /// Time that the measured momentum of the last tick covers, since the one before \[s\]; `None` where none was measured.
+    pub covered: Option<f64>,
     /// The last measured momentum, and the modelled rate of the last tick.
     last: Option<MomentumSample>,
     /// Time \[s\] and modelled impulse \[N s, N m s\] from that momentum to the last tick.
@@ -97,14 +99,15 @@ impl ObserverState {
             (self.last, self.pending) = (None, <_>::default());
             self.residual.fill(0.0);
         }
-        match sampling {
+        self.covered = match sampling {
             Sampling::Measured | Sampling::First => Some(self.update(config, elapsed, sample)),
             Sampling::Between => {
                 self.wait(elapsed, sample.rate);
                 None
             }
             Sampling::Unknown => None,
-        }
+        };
+        self.covered
     }
 
     /// Moves `ŵ` by a sample, and returns the time that it covers \[s\].

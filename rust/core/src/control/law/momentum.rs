@@ -199,7 +199,8 @@ impl MomentumModel {
         add_com_motion(&mut self.lambda, dynamics, &(total / kinematics.mass()));
     }
 
-    fn place_jets(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
+    /// Recomputes axes and points of the jets, and `A_T`.
+    pub(in crate::control) fn place_jets(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
         for (index, jet) in robot.jets.iter().enumerate() {
             let pose = kinematics.frame_pose(&jet.frame);
             let axis = pose.rotation * jet.axis_f.into_inner();

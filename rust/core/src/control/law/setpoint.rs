@@ -5,7 +5,7 @@
 //! attitude. The raw attitude is that of the *heading frame*: forward, left, up, fixed to the base by the robot's
 //! forward axis. Its pitch is positive nose down.
 //!
-//! Equations M43, M44, M47, M48, M107 and M115 of `docs/model`. Source: the published flight-control library, whose
+//! Equations M43, M44, M47, M48, M107, M115 and M182 of `docs/model`. Source: the published flight-control library, whose
 //! steps per tick of 10 ms are speeds here.
 
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
@@ -246,6 +246,8 @@ pub struct SetpointState {
     angular_velocity: FilterState,
     /// Smoothed attitude of the base.
     rotation: Matrix3<f64>,
+    /// Raw set-point of the mission when a descent began, from which it goes on where the descent is revoked.
+    abandoned: Option<RawSetpoint>,
 }
 
 impl SetpointState {
@@ -347,6 +349,7 @@ impl SetpointGenerator {
             acceleration: rest,
             angular_velocity: rest,
             rotation: *rotation,
+            abandoned: None,
         }
     }
 
@@ -408,6 +411,7 @@ impl SetpointGenerator {
     /// the descent, or zero if the robot `stays` (M115).
     #[must_use]
     pub fn descend(&self, state: &mut SetpointState, stays: bool) -> Setpoint {
+        state.abandoned.get_or_insert(state.raw);
         let raw = &mut state.raw;
         let step = self.config.attitude_rate_deg[0].to_radians() * self.time_step;
         for angle in raw.rpy.iter_mut().take(2) {
@@ -416,6 +420,17 @@ impl SetpointGenerator {
         let speed = if stays { 0.0 } else { self.config.descent_speed };
         self.approach(raw, &Vector3::new(0.0, 0.0, -speed));
         self.smooth(state)
+    }
+
+    /// Goes on with the mission after a descent: from the position and velocity of the centre of mass \[m, m/s\], which had no
+    /// set-point meanwhile (M107), and to the attitude and boost that the mission had when it was abandoned (M182).
+    pub fn resume(&self, state: &mut SetpointState, com: &Vector3<f64>, velocity: &Vector3<f64>) {
+        let Some(abandoned) = state.abandoned.take() else { return };
+        let outputs = [*com, *velocity, Vector3::zeros()];
+        let (position, _) = self.position_filter.input_of(outputs);
+        state.position = FilterState::from_outputs(outputs, position);
+        state.acceleration = FilterState::at_rest(Vector3::zeros());
+        state.raw = RawSetpoint { position, ..abandoned };
     }
 
     /// Set-point of a tick without a valid one: the robot comes to rest (M115).

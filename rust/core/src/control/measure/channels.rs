@@ -29,6 +29,7 @@ pub use state::ChannelsState;
 use super::greatest::{self, Jumps};
 use super::measurement::{BETWEEN_MAX, BadStart, Channel, Estimate, Measurement, Sampling};
 use crate::control::acting::Acting;
+use crate::control::limits::Descent;
 use crate::control::modes::Modes;
 use crate::jets::{EngineModel, JetModel};
 use crate::kinematics::RobotState;
@@ -36,8 +37,8 @@ use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, is_rotation, vee_of_skew_part};
 use crate::timing::share;
 use nalgebra::{DVector, Matrix3, Vector3};
-use std::slice::from_mut;
 use state::{Record, bound, time_is_plausible};
+use std::slice::from_mut;
 
 /// Fraction of [`Jumps`] by which a value must differ from the prediction to count as frozen.
 const FROZEN_SHARE: f64 = 0.02;
@@ -264,7 +265,7 @@ impl Channels {
     }
 
     /// Processes a measurement in a wind \[m/s\], or, of one that is not of this robot, its time alone: nothing is then
-    /// measured. The last command is `acting`; `is_descending` becomes true where the robot is to descend. Predictions stay
+    /// measured. The last command is `acting`; the robot is to descend without a measured base or joints. Predictions stay
     /// within the accepted range, because otherwise a predicted velocity could grow without limit.
     pub fn update(
         &self,
@@ -272,7 +273,7 @@ impl Channels {
         measurement: &Measurement,
         wind: Vector3<f64>,
         acting: &Acting,
-        is_descending: &mut bool,
+        descent: &mut Descent,
         used: &mut Estimate,
     ) {
         let is_step = state.update_clock(measurement.time, self.time_step, self.refuses_jumps, used);
@@ -307,7 +308,7 @@ impl Channels {
         let mut is_pose_new = is_step;
         for (place, channel) in self.parts.iter().enumerate() {
             let is_new = self.accept(state, place, dt, missed_ticks, used);
-            *is_descending |= channel.is_vital() && state.records[place].age > DESCEND_AFTER;
+            descent.is_blind |= channel.is_vital() && state.records[place].age > DESCEND_AFTER;
             match channel {
                 Channel::AngularVelocity if was_begun => self.integrate_pose(state, &used.robot, dt),
                 Channel::Position | Channel::Rotation => is_pose_new &= is_new,
@@ -319,7 +320,7 @@ impl Channels {
         }
         state.last.copy_from(&used.robot);
         self.fill_predicted(state, used);
-        if *is_descending {
+        if descent.is_active() {
             used.modes.insert(Modes::DESCENDING);
         }
         let is_measured = (is_step || !was_begun) && !used.modes.intersects(Modes::WITHOUT_MOMENTUM);
@@ -391,6 +392,9 @@ impl Channels {
                 now.is_measured(channel) && !is_sound()
             });
         let is_plausible = self.is_plausible(now, kind);
+        if let Channel::Thrust(jet) = kind {
+            used.thrust_reading[jet] = if is_plausible { now.thrust[jet] } else { f64::NAN };
+        }
         let is_sound = is_plausible && self.is_expected(state, now, place, missed_ticks) && !is_contradicted;
         let is_same = state.is_begun && now.numbers(kind) == state.last.numbers(kind);
         let agrees = state.records[place].against > 0 && self.is_near(now, kind, &state.last, 1.0);
@@ -496,17 +500,23 @@ impl Channels {
         used.modes.insert(Channel::Feet.mode());
     }
 
-    /// Rejects the measured thrust of a jet from now on; it was too large by `deviation` \[N\].
-    pub fn reject_sensor(state: &mut ChannelsState, jet: usize, deviation: f64) {
-        state.records[1 + jet].is_distrusted = true;
-        state.predicted.thrust[jet] -= deviation;
+    /// Uses the measured thrust of a jet from the next tick on, or rejects it.
+    pub fn use_sensor(state: &mut ChannelsState, jet: usize, is_believed: bool) {
+        state.records[1 + jet].is_distrusted = !is_believed;
+    }
+
+    /// Corrects the predicted thrust of a jet, which is too large by `error` \[N\].
+    pub fn correct_thrust(state: &mut ChannelsState, jet: usize, error: f64) {
+        state.predicted.thrust[jet] -= error;
     }
 
     /// The height above the ground, if it is measured anew in this tick, and accepted \[m\].
     #[must_use]
     pub fn new_height(&self, state: &ChannelsState, used: &Estimate) -> Option<f64> {
         let record = &state.records[self.place(6)];
-        (record.age == 0.0 && record.same == 0).then_some(used.robot.height).filter(|height| height.is_finite())
+        (record.age == 0.0 && record.same == 0)
+            .then_some(used.robot.height)
+            .filter(|height| height.is_finite())
     }
 
     /// Writes what an estimator is given of a tick: NaN for values that were not accepted, except for a base velocity that

@@ -159,6 +159,8 @@ pub struct Estimate {
     /// Difference of each thrust from its prediction, or its correction by the estimator; zero where the thrust is not
     /// measured \[N\].
     pub thrust_innovation: Vec<f64>,
+    /// What the sensor of each thrust says, also one that is not used; NaN where nothing that can be right \[N\].
+    pub thrust_reading: Vec<f64>,
     /// Whether each thrust is that of a measured speed.
     pub is_of_speed: Vec<bool>,
     /// Time since the last tick \[s\]; one time step if it is unknown.
@@ -202,6 +204,7 @@ impl Estimate {
             wind_std: Vector3::zeros(),
             thrust_rate: vec![0.0; jets],
             thrust_innovation: vec![0.0; jets],
+            thrust_reading: vec![0.0; jets],
             is_of_speed: vec![false; jets],
             elapsed: time_step,
             pause: 0.0,

@@ -8,6 +8,7 @@ use crate::control::command::Command;
 use crate::control::config::ControllerConfig;
 use crate::control::detect::Detectors;
 use crate::control::detect::detector::Setup;
+use crate::control::engine_condition::EngineLimits;
 use crate::control::estimate::estimator::Estimator;
 use crate::control::estimate::joint_tracker::JointTracker;
 use crate::control::estimate::wind_observer::WindObserver;
@@ -70,6 +71,7 @@ impl Controller {
             torque_steps,
         };
         let detectors = Detectors::new(&config.fault_detection, &setup);
+        let descent = config.fault_detection.engines.and_then(|engines| engines.descent);
         let measures_joint_velocity = of_estimator.is_none_or(|config| config.joint_observer.is_none());
         let jets = robot.jet_models(dynamics);
         let channels =
@@ -99,6 +101,7 @@ impl Controller {
             observer: config.disturbance_observer,
             has_feet: config.contact.is_some(),
             detectors,
+            engines: EngineLimits::new(descent, &limits, &robot),
             usual: limits.clone(),
             law,
             policy: None,

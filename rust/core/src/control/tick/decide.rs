@@ -65,10 +65,10 @@ impl Law {
         given: Option<&Setpoint>,
         terms: &mut Terms,
     ) -> bool {
-        let ControllerState { setpoint: state, estimate, is_descending, contact, .. } = state;
+        let ControllerState { setpoint: state, estimate, descent, contact, .. } = state;
         let is_valid = given.is_none_or(Setpoint::is_valid);
         (self.ahead, terms.setpoint) = match given {
-            _ if *is_descending => {
+            _ if descent.is_active() => {
                 (Ahead::Descent, self.generator.descend(state, terms.contact.stays(contact)))
             }
             None => (Ahead::Mission, self.generator.update(state, estimate.robot.time)),
@@ -81,6 +81,20 @@ impl Law {
         let setpoint = &terms.setpoint;
         terms.due = if self.latency > 0.0 { setpoint.after(self.latency) } else { *setpoint };
         is_valid
+    }
+
+    /// Goes on with the mission, or the `given` set-point, from where the robot is, after a descent that is revoked in this
+    /// tick (M182).
+    pub(crate) fn resume(
+        &mut self,
+        state: &mut ControllerState,
+        given: Option<&Setpoint>,
+        terms: &mut Terms,
+    ) {
+        let velocity = terms.dynamics.momentum.fixed_rows::<3>(0) / terms.kinematics.mass();
+        self.generator.resume(&mut state.setpoint, &terms.kinematics.com, &velocity);
+        state.plan.discard();
+        self.choose_setpoint(state, given, terms);
     }
 
     /// Computes thrust rates and joint velocities that control momentum and attitude.

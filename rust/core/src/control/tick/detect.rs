@@ -2,6 +2,7 @@
 
 use super::Controller;
 use crate::control::detect::detector::Evidence;
+use crate::control::engine_condition::modes_of;
 use crate::control::estimate::disturbance_observer::{MomentumSample, ObserverState};
 use crate::control::law::contact::add_wrenches;
 use crate::control::measure::channels::Channels;
@@ -19,7 +20,7 @@ impl Controller {
         }
         let Terms { due, kinematics, dynamics, inverse_mass, momentum, limits, findings, .. } =
             &mut self.terms;
-        let ControllerState { estimate, disturbance, .. } = state;
+        let ControllerState { estimate, disturbance, engines, channels, estimator, .. } = state;
         if let Some((config, observer)) = self.observer.as_ref().zip(disturbance.as_mut()) {
             let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.measured_rate };
             observer.observe(config, estimate.momentum, estimate.elapsed, sample);
@@ -34,22 +35,29 @@ impl Controller {
             momentum,
             disturbance: disturbance.as_ref(),
             setpoint: due,
+            covered: disturbance.and_then(|of| of.covered),
+            engines: &*engines,
             is_standing: state.contact.is_active,
         };
         self.detectors.detect(&mut state.detectors, &evidence, limits, findings);
+        let covered = evidence.covered.unwrap_or(0.0);
+        let found = engines.iter_mut().zip(&findings.engines);
+        for (jet, ((engine, finding), thrust)) in found.zip(&estimate.robot.thrust).enumerate() {
+            let error = engine.advance(*finding, *thrust, covered);
+            Channels::use_sensor(channels, jet, engine.is_believed);
+            let Some(error) = error else { continue };
+            Channels::correct_thrust(channels, jet, error);
+            if let Some(memory) = estimator {
+                memory.correct_thrust(jet, error);
+            }
+        }
+        state.descent.is_without_engine = self.engines.limit(engines, state.contact.is_active, limits);
         estimate.modes.insert(findings.modes);
-        state.is_descending |= findings.descends;
+        estimate.modes.insert(modes_of(engines));
         if let Some((observer, wrench)) = disturbance.as_mut().zip(findings.unmodelled) {
             observer.wrench = wrench;
         }
-        for (jet, error) in findings.sensor_error.iter().enumerate() {
-            let Some(error) = error else { continue };
-            Channels::reject_sensor(&mut state.channels, jet, *error);
-            if let Some(memory) = &mut state.estimator {
-                memory.correct_thrust(jet, *error);
-            }
-        }
-        if let Some((memory, latency)) = state.estimator.as_mut().zip(findings.torque_latency) {
+        if let Some((memory, latency)) = estimator.as_mut().zip(findings.torque_latency) {
             memory.use_torque_latency(latency);
         }
     }
@@ -61,7 +69,7 @@ impl Controller {
         let ControllerState { estimate, disturbance, acting, contact: feet, .. } = state;
         let climb = setpoint.com_position.z - kinematics.com.z;
         // During a descent the robot must not take off.
-        let climb = if state.is_descending { climb.min(0.0) } else { climb };
+        let climb = if state.descent.is_active() { climb.min(0.0) } else { climb };
         let are_measured = !estimate.modes.contains(Modes::FEET_PREDICTED);
         let unmodelled = disturbance.map_or(0.0, |of| of.wrench[2] + of.residual[2]);
         let carry_unknown = contact.carry_unknown(feet, are_measured, climb, unmodelled, estimate.elapsed);

@@ -11,13 +11,13 @@ impl Controller {
     /// Updates the estimate of the robot by a measurement; returns whether the measurement has the sizes of this robot.
     pub(super) fn measure(&mut self, measurement: &Measurement, state: &mut ControllerState) -> bool {
         let Self { channels, estimator, detectors, .. } = self;
-        let ControllerState { estimate, channels: memory, acting, wind, is_descending, .. } = state;
+        let ControllerState { estimate, channels: memory, acting, wind, descent, .. } = state;
         let is_usable = channels.fit(measurement);
         if is_usable {
             estimate.wind_std = wind.as_ref().map_or_else(Vector3::zeros, WindState::std);
         }
         let wind = wind.as_ref().map_or(measurement.wind, WindState::wind);
-        channels.update(memory, measurement, wind, acting, is_descending, estimate);
+        channels.update(memory, measurement, wind, acting, descent, estimate);
         detectors.measure(&mut state.detectors, estimate);
         if let Some((estimator, of_estimator)) = estimator.as_mut().zip(state.estimator.as_mut()) {
             if estimate.pause > 0.0 || estimate.modes.contains(Modes::BEGUN_AGAIN) {

@@ -30,7 +30,7 @@ pub(super) struct Record {
     pub(super) is_missing: bool,
     /// Whether it counts as frozen, until its bits change.
     pub(super) is_frozen: bool,
-    /// Whether its measurements are permanently rejected.
+    /// Whether its measurements are rejected: those of wind and feet for good.
     pub(super) is_distrusted: bool,
 }
 
