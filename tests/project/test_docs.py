@@ -210,18 +210,48 @@ OUT_OF_SIGHT = """() => {
 }"""
 
 
+# Parts that show less than they hold: tables and code. Equations, drawings and what programs print may scroll.
+CUT = """() => [...(document.querySelector("article") ?? document.body).querySelectorAll("*")].filter(e =>
+    getComputedStyle(e).overflowX != "visible" && e.clientWidth > 0 && e.scrollWidth > e.clientWidth + 1
+    && !e.closest(".formula, .language-text, :has(> img)")
+).map(e => `${e.scrollWidth} of ${e.clientWidth} px: ${e.outerHTML.slice(0, 80)}`)"""
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
-def test_pages_fit_the_screen(site):
-    """Of a desk and of a telephone."""
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_fit_the_screen(site, scheme):
+    """Of a desk, of a tablet and of a telephone."""
     pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
+    found = []
     with open_chromium() as browser:
-        tab = browser.new_page()
+        tab = browser.new_page(color_scheme=scheme)
         tab.set_default_timeout(SLOWEST)
         for page in sorted(site.rglob("index.html")):
             tab.goto(page.as_uri())
-            for width in (1440, 390):
+            for width in (1280, 800, 390):
                 tab.set_viewport_size({"width": width, "height": 900})
-                assert tab.evaluate(OUT_OF_SIGHT) == [], f"{page.relative_to(site)} at {width} px"
+                parts = [*tab.evaluate(OUT_OF_SIGHT), *tab.evaluate(CUT)]
+                found += [f"{page.relative_to(site)} at {width} px: {part}" for part in parts]
+    assert found == []
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
+def test_a_table_that_is_cut_is_found(tmp_path):
+    """The measures refuse wrong pages: with a table in a box that scrolls, and with one beyond the screen."""
+    pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
+    wide = '<table><tr><td><div style="width: 900px">wide</div></td></tr></table>'
+    with open_chromium() as browser:
+        tab = browser.new_page(viewport={"width": 800, "height": 900})
+        for text, cut, beyond in (
+            (f'<div style="overflow-x: auto">{wide}</div>', True, False),
+            (wide, False, True),
+            (f'<div class="formula" style="overflow-x: auto">{wide}</div>', False, False),
+            ("<table><tr><td>narrow</td></tr></table>", False, False),
+        ):
+            (tmp_path / "page.html").write_text(f"<body><article>{text}</article></body>", encoding="utf-8")
+            tab.goto((tmp_path / "page.html").as_uri())
+            assert bool(tab.evaluate(CUT)) is cut, text
+            assert bool(tab.evaluate(OUT_OF_SIGHT)) is beyond, text
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
