@@ -221,7 +221,7 @@ class FlightEnv:
             info={"wind": episode.wind},
         )
 
-    @jax.default_matmul_precision("highest")
+    @jax.default_matmul_precision("highest")  # type: ignore[untyped-decorator]
     def step(self, state: EnvState, action: Float[Array, " u"]) -> EnvState:
         """Fly one tick with an action between −1 and 1."""
         episode = state.data
@@ -290,7 +290,7 @@ class FlightEnv:
         time = episode.tick.astype(episode.wind.dtype) * drawn.scenario.plant.time_step
         return aim_of(update(controller.setpoint, controller.mission, memory.setpoint, time)[1])
 
-    @jax.default_matmul_precision("highest")
+    @jax.default_matmul_precision("highest")  # type: ignore[untyped-decorator]
     def _observe(self, episode: Episode) -> tuple[TaskState, Array]:
         drawn, now = self._pick(episode.drawn), episode.flight.plant
         plant = drawn.scenario.plant

@@ -11,8 +11,8 @@ from jax_aero.base import places
 from jax_aero.results import kept, outdated
 from jax_aero.results.kept import Kept
 from jax_aero.results.outdated import ANOTHER
-from jax_aero.sweep.columns import OF_ALL
 from jax_aero.sweep.criteria import Criterion
+from jax_aero.sweep.populations import OF_ALL
 
 
 def stated(document: Kept) -> dict[str, Criterion]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple, TypeAlias, cast, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float, Key
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
+from jax_aero.base.network_inputs import Block, block_sizes
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.body.mirror import ODD_JOINTS, opposite_indices
@@ -30,12 +31,10 @@ from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotate, rotate_back, safe_norm
 from jax_aero.types import Array, Kinematics, pytree, static, with_dtype
 
-Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
 Frame: TypeAlias = Literal["base", "link"]
 Layout: TypeAlias = Literal["component", "link"]
 Activation: TypeAlias = Literal["relu", "tanh", "silu"]
 
-BLOCKS: tuple[Block, ...] = get_args(Block)
 ACTIVATIONS: dict[str, Any] = {"relu": jax.nn.relu, "tanh": jnp.tanh, "silu": jax.nn.silu}
 SHADOW_LENGTH = 0.05
 """`ℓ`: distance over which a link moves from upstream of another to downstream of it [m]."""
@@ -267,11 +266,6 @@ def init_network(
         mirror=mirror_of(robot, seen, blocks, layout, frame) if mirror else None,
         baseline=baseline,
     )
-
-
-def block_sizes(joints: int, links: int) -> dict[Block, int]:
-    """Return the number of features in every block, from the numbers of input joints and links."""
-    return {"wind": 3, "joints": joints, "link_wind": 3 * links, "link_position": 3 * links, "link_shadow": links}
 
 
 def check_output(frame: str, layout: str) -> None:

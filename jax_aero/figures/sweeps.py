@@ -15,7 +15,7 @@ from jax_aero.base.terminal import Refused
 from jax_aero.figures.runs import MissingRun, NotDrawn
 from jax_aero.results import sweep as results
 from jax_aero.results.sweep import SweepResult
-from jax_aero.sweep import columns
+from jax_aero.sweep import populations
 
 
 def load(folder: Path, name: str, of: Sequence[str] = ()) -> SweepResult:
@@ -41,7 +41,7 @@ def require(sweep: SweepResult, suits: bool, expected: str) -> None:
 
 def shown_figure(column: str, table: pd.DataFrame, quantile: str = "") -> Shown:
     """Return a figure of merit of flights as it is shown, or its quantile of upright flights from a table of cells."""
-    name = columns.quantile(column, quantile, columns.OF_UPRIGHT) if quantile else column
+    name = populations.quantile(column, quantile, populations.OF_UPRIGHT) if quantile else column
     return quantities.shown(quantities.COLUMNS[column], table[name])
 
 

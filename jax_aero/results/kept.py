@@ -21,7 +21,7 @@ from jax_aero.base import places
 from jax_aero.base.files import read_json
 from jax_aero.base.terminal import Refused
 from jax_aero.results.sweep import SweepResult
-from jax_aero.sweep import aggregate, columns
+from jax_aero.sweep import aggregate, populations
 
 AGAIN = "keep the result again (jax-aero report keep)"
 FOLDER = places.HOME / "docs" / "results"
@@ -170,8 +170,8 @@ def contradiction(kept: Kept) -> str:
             return f"in the counts of row {number}"
         for error in aggregate.KEPT_ERRORS:
             of_all, of_upright = (
-                [row[columns.quantile(error, end, population)] for end in columns.QUANTILES]
-                for population in columns.populations(error)
+                [row[populations.quantile(error, end, population)] for end in populations.QUANTILES]
+                for population in populations.populations(error)
             )
             known = [[value for value in ends if value is not None] for ends in (of_all, of_upright)]
             pairs = [(a, b) for a, b in zip(of_all, of_upright, strict=True) if a is not None and b is not None]

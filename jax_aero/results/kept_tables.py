@@ -18,8 +18,8 @@ from jax_aero.base.quantities import converted
 from jax_aero.base.terminal import Refused
 from jax_aero.results import kept
 from jax_aero.results.kept import ALL, Kept
-from jax_aero.sweep.columns import OF_ALL, OF_UPRIGHT, quantile
 from jax_aero.sweep.intervals import wilson
+from jax_aero.sweep.populations import OF_ALL, OF_UPRIGHT, quantile
 
 UNIT = re.compile(r"\s*\[(?P<unit>[^\]]+)\]$")
 SIGNS = str.maketrans("234", "²³⁴")

@@ -9,7 +9,7 @@ import numpy as np
 
 from jax_aero.base.result import LOST, UPRIGHT
 from jax_aero.rust import MODES
-from jax_aero.sweep import columns, intervals
+from jax_aero.sweep import columns, intervals, populations
 from jax_aero.sweep.intervals import wilson
 
 ON_COURSE_ROTATION = 15.0
@@ -26,10 +26,10 @@ KEPT: tuple[str, ...] = (
     *("flights", "completed", "landed", "landing", "on_course", "off_course"),
     *("lost", "crashed", "unwarned", "degraded"),
     *(
-        columns.quantile(column, end, population)
+        populations.quantile(column, end, population)
         for column in KEPT_ERRORS
-        for population in columns.populations(column)
-        for end in columns.QUANTILES
+        for population in populations.populations(column)
+        for end in populations.QUANTILES
     ),
     *("found_s", "announced_s", "lost_s", "modes"),
 )
@@ -55,16 +55,16 @@ def figures(flights: Mapping[str, Any]) -> dict[str, Any]:
     if found["flights"] and np.isnan(flights["degraded_time"]).all():
         found |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
     upright, lost = (np.isin(flights["outcome"], ends) for ends in (UPRIGHT, LOST))
-    for column in columns.QUANTITIES:
+    for column in populations.QUANTITIES:
         values = flights[column].astype(float)
         of = {
-            columns.OF_ALL: np.where(lost, np.inf, values),
-            columns.OF_UPRIGHT: values[upright],
-            columns.OF_LOST: values[lost],
+            populations.OF_ALL: np.where(lost, np.inf, values),
+            populations.OF_UPRIGHT: values[upright],
+            populations.OF_LOST: values[lost],
         }
-        for population in columns.populations(column):
-            ends = quantiles(of[population], columns.QUANTILES.values())
-            names = [columns.quantile(column, end, population) for end in columns.QUANTILES]
+        for population in populations.populations(column):
+            ends = quantiles(of[population], populations.QUANTILES.values())
+            names = [populations.quantile(column, end, population) for end in populations.QUANTILES]
             found |= dict(zip(names, ends, strict=True))
     if "onset" in flights:
         degraded = flights["degraded_time"] > 0.0

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import pandas as pd
 
 from jax_aero.results.table import Rows
-from jax_aero.sweep.columns import OF_ALL, OUTCOMES, quantile
+from jax_aero.sweep.columns import OUTCOMES
 from jax_aero.sweep.intervals import SHARE, share
 from jax_aero.sweep.paired import COLUMNS, COUNTS, OF_UPRIGHT
+from jax_aero.sweep.populations import OF_ALL, quantile
 
 ERRORS = {
     "max rotation error [deg], median of all, 10 to 90 %": ("max_rotation_error_deg", 1.0),

@@ -10,9 +10,10 @@ from typing import Annotated, Any, Literal
 import jax
 from msgspec import Meta
 
-from jax_aero.aero.network import Activation, Block, Frame, Layout, Network, check_output, init_network
+from jax_aero.aero.network import Activation, Frame, Layout, Network, check_output, init_network
 from jax_aero.base import tables
 from jax_aero.base.keys import set_key
+from jax_aero.base.network_inputs import Block
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.train import Settings

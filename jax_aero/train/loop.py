@@ -21,8 +21,9 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.aero.network import BLOCKS, Layer, Network, block_sizes, raw_output
+from jax_aero.aero.network import Layer, Network, raw_output
 from jax_aero.base import plain_values, tables
+from jax_aero.base.network_inputs import BLOCKS, block_sizes
 from jax_aero.base.terminal import ConfigError
 from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint

@@ -13,7 +13,7 @@ from jax_aero.base.result import LOST, UPRIGHT
 from jax_aero.results import keep, kept
 from jax_aero.results.kept import Axis, Kept
 from jax_aero.results.sweep import SweepResult
-from jax_aero.sweep import aggregate, columns, intervals, listing, table
+from jax_aero.sweep import aggregate, columns, intervals, listing, populations, table
 from jax_aero.sweep.criteria import Criterion, Share
 from jax_aero.sweep.spec import from_table
 
@@ -115,16 +115,16 @@ def test_a_loss_never_improves_a_figure_of_all():
         for lost in rng.permutation(12):
             outcomes[lost], rotation[lost] = "fell", rng.uniform(0.0, 90.0)
             after = aggregate.figures(flights_of(outcomes, rotation))
-            for end in columns.QUANTILES:
-                name = columns.quantile("max_rotation_error_deg", end, columns.OF_ALL)
+            for end in populations.QUANTILES:
+                name = populations.quantile("max_rotation_error_deg", end, populations.OF_ALL)
                 assert after[name] >= before[name]
             before = after
 
 
 def test_every_quantile_names_the_flights_that_it_is_of():
-    ends = [name for name in columns.CELLS if any(f"_{end}" in name for end in columns.QUANTILES)]
+    ends = [name for name in columns.CELLS if any(f"_{end}" in name for end in populations.QUANTILES)]
     assert ends
-    assert all(name.endswith(tuple(columns.POPULATIONS)) for name in ends)
+    assert all(name.endswith(tuple(populations.POPULATIONS)) for name in ends)
     assert {columns.CELLS[name].unit for name in ends} >= {"deg", "m", "s", "N"}
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from experiments.report.measures import Measured, one
 from jax_aero import rust
-from jax_aero.aero.network import block_sizes
 from jax_aero.base import tables
+from jax_aero.base.network_inputs import block_sizes
 from jax_aero.base.parquet import read_table
 from jax_aero.base.places import CONFIGS, ROBOT
 from jax_aero.data import tables as tunnel

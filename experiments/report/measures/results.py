@@ -16,9 +16,10 @@ from jax_aero.base import flights
 from jax_aero.data.battery import PAPER_FUEL
 from jax_aero.results.flight import PAPER_RUNS
 from jax_aero.rust import SETTLING_TIME
-from jax_aero.sweep.columns import OF_UPRIGHT, SHARES, quantile
+from jax_aero.sweep.columns import SHARES
 from jax_aero.sweep.criteria import Criterion, Share
 from jax_aero.sweep.intervals import wilson
+from jax_aero.sweep.populations import OF_UPRIGHT, quantile
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",
