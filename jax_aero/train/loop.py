@@ -97,7 +97,7 @@ class Objective(Protocol):
     def given(self, network: Network, training: Any) -> tuple[Any, Any]:
         """Return what outputs are compared with, by row, and what is the same for all rows; pytrees of arrays."""
 
-    def loss(self, output: Float[Array, "m B *copies y"], rows: Any, common: Any) -> Array:
+    def loss(self, output: Float[Array, "m B *copies y"], rows: Any, common: Any) -> Float[Array, ""]:
         """Return the loss of a batch from outputs before scaling, as by `batch_output`."""
 
     def unit(self, network: Network) -> float:
@@ -121,7 +121,7 @@ class ForceAreas:
         """Return the targets before scaling."""
         return jnp.asarray((training.y - network.offset) / network.scale), ()
 
-    def loss(self, output: Float[Array, "m B y"], rows: Float[Array, "B y"], common: Any) -> Array:
+    def loss(self, output: Float[Array, "m B y"], rows: Float[Array, "B y"], common: Any) -> Float[Array, ""]:
         """Return the mean squared error."""
         del common
         return mean_squared_error(output, rows)

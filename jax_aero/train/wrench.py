@@ -109,7 +109,9 @@ class ObservedWrenches:
         mirror = None if network.mirror is None else jnp.asarray(network.mirror.output, jnp.float32)
         return (windows, areas), (network.scale, network.offset, mirror)
 
-    def loss(self, output: Float[Array, "m B T copies y"], rows: tuple[Windows, Array], common: Any) -> Array:
+    def loss(
+        self, output: Float[Array, "m B T copies y"], rows: tuple[Windows, Float[Array, "B T l 3"]], common: Any
+    ) -> Float[Array, ""]:
         """Return the mean loss of members and windows."""
         scale, offset, mirror = common
         y = scale * output + offset
@@ -178,7 +180,9 @@ class ObservedWrenches:
         constants = -window.solve @ jnp.einsum("tac,ta->c", basis, before)
         return Errors(before + basis @ constants, constants)
 
-    def filtered(self, total: Array, start: Array) -> Array:
+    def filtered(
+        self, total: Float[Array, "T 6 *columns"], start: Float[Array, "6 *columns"]
+    ) -> Float[Array, "T 6 *columns"]:  # noqa: F821
         """Return what the observer sees of a wrench (T, 6), or of columns (T, 6, …), from what it holds at first."""
         share = jnp.asarray(self._share).reshape(6, *[1] * (start.ndim - 1))
 

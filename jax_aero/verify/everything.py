@@ -46,6 +46,8 @@ PLAIN: dict[str, Any] = {
     "simulator.sensors": None,
     "simulator.motors": None,
     "controller.estimator": None,
+    "controller.torque.rotor_inertia": 0.0,
+    "controller.torque.friction": {},
     "disturbances": {},
 }
 """Changes with which the crate flies in a world that shows it any state."""

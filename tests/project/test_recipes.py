@@ -34,7 +34,7 @@ from tests.project.test_docs import FENCE, ROOT, name
 PAGES = tables_of_pages.pages()
 PROGRAM = r"rust/(sim/examples/tutorial\.rs|capi/examples/((loop|realtime)\.c|hover\.cpp|CMakeLists\.txt))"
 HOW = {
-    **dict.fromkeys(("rust", "c", "cpp", "cmake", "math", "text"), ""),
+    **dict.fromkeys(("rust", "c", "cpp", "cmake", "math", "text", "bibtex"), ""),
     "sh": "run|not run, .+",
     "python": "run|part|file .+|not run, .+",
     "toml": r"part( of \w+)?|file .+",

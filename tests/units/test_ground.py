@@ -24,6 +24,7 @@ FREE_JOINTS = DRY | {
     "simulator.motors.friction": 0.0,
     "simulator.motors.damping": 0.0,
     "simulator.motors.inertia": 0.0,
+    "controller.torque.rotor_inertia": 0.0,
     "simulator.substeps": 10,
 }
 COARSE = {"simulator.substeps": 5}

@@ -314,7 +314,7 @@ def test_choices_count_their_sides(monkeypatch):
     with lines.watch_lines() as seen:
         result, sides = jax.jit(lines.count_sides(loop))(jnp.array(1.0))
     assert result == loop(jnp.array(1.0))
-    first, second, third = line("y = jnp.where("), line("    return jnp.where("), line("return jax.lax.cond(")
+    first, second, third = line("    y = jnp.where("), line("    return jnp.where(x"), line("return jax.lax.cond(")
     assert {*sides} == {first, second, third}
     assert lines.untaken([sides]) == {first: "no"}
     again = jax.jit(lines.count_sides(loop))(jnp.array(-1.0))[1]
