@@ -45,6 +45,10 @@ FIGURES = {"rotation": ("max_rotation_error", np.degrees(1.0)), "position": ("ma
 """Figures of merit of a flight, with the factor to degrees and centimetres."""
 DRAWS = 2000
 """Of the bootstrap."""
+SECONDS = 40.0
+"""Length of a flight to learn from [s]."""
+STEPS = 750
+"""Steps of a training of `minutes`."""
 EVERY = 0.1
 """Time between rows at which wrenches are compared [s]."""
 
@@ -335,21 +339,21 @@ def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder
     beneath = {"none": zero, NOMINAL: np.asarray(robot.aero_links.coefficients[NOMINAL])}
     rows, summary = list[tuple[str, float, str, float, float]](), dict[str, Any]()
     for kind in asked.kinds:
+        most = round(max(asked.minutes) * 60.0 / SECONDS)
         every: list[Record] = []
         for minutes in asked.minutes:
-            count = round(minutes * 60.0 / 40.0)
+            count = round(minutes * 60.0 / SECONDS)
             job = f"{kind}-{minutes:g}"
             kept = work.read_json(job)
             if kept is None:
-                # Each set of flights spans all sides: the directions of a flight depend on how many there are.
-                every = _records(count, air, robot, folder, kind, asked.seed)
-                flights = [record.flight for record in every]
+                every = every or _records(most, air, robot, folder, kind, asked.seed)
+                # From all sides, however few they are.
+                flights = [every[number].flight for number in (np.arange(count) * most // count).tolist()]
                 kept = {}
                 for base in beneath:
-                    # As many steps whatever there is to learn from, up to a limit of rows.
-                    settings = settings_of(
-                        **{"network.baseline": base, "training.epochs": max(200, min(1200, round(5000 / count)))}
-                    )
+                    # As many steps, whatever there is to learn from.
+                    batches = max(1, count // settings_of().training.batch)
+                    settings = settings_of(**{"network.baseline": base, "training.epochs": STEPS // batches})
                     found = from_flights.learn(settings, flights, robot)
                     kept[f"learnt on {base}"] = errors_of(found.network, judges, robot)
                     kept[f"refit of {base}"] = errors_of(found.refit, judges, robot)
