@@ -1,10 +1,11 @@
 """What a few postures of a wind tunnel teach about the others: the learner of `train flights` on a real balance.
 
 Total force and moment about the centre of mass of 1, 3 and 10 postures, drawn several times, train a network from
-nothing and on top of the nominal model, and refit that model's coefficients. All other postures judge, beside the models
+nothing and on top of the nominal model, and refit that model's coefficients. All other postures judge, beside models
 that have seen none: nominal, and the network of the authors' CFD. Errors are root mean squares in N and N m at 10 m/s;
-their 95 % intervals resample postures and draws. Needs `results/datasets/tunnel_ROBOT.nc` of `import-tunnel`. The result
-goes to `results/tunnel_learnt/ROBOT/`.
+their 95 % intervals resample postures and draws. Needs `results/datasets/tunnel_ROBOT.nc` of `import-tunnel`.
+
+The result goes to `results/tunnel_learnt/ROBOT/`.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ BALANCE = ObservedWrenches(
     shrink=0.02,
 )
 """A balance is not filtered, and has no constants; its errors [N, N m at 10 m/s] are those of the reduction."""
-SETTINGS = Settings(epochs=400, learning_rate=3e-3, batch=66, schedule="cosine", validate_every=400)
+SETTINGS = Settings(epochs=200, learning_rate=3e-3, batch=66, schedule="cosine", validate_every=200)
 ROWS = 264
 """Points of a training, the drawn ones again and again: one shape, compiled once."""
 DRAWS = 2000
@@ -118,7 +119,7 @@ def windows(points: Points, network: Network, robot: RobotModel) -> Windows:
     )
     blank = np.zeros(0, np.float32)
     alone = (np.asarray(part, np.float32)[:, None] for part in parts)
-    return BALANCE.with_constants(Windows(*alone, blank, blank))
+    return BALANCE.with_constants(Windows(*alone, blank, blank))  # type: ignore[call-arg]
 
 
 def start_of(robot: RobotModel, base: Floats | None, seed: int) -> Network:
@@ -141,7 +142,8 @@ def predict(network: Network, points: Windows) -> Floats:
     """Return the wrenches (N, 6) of a network [N, N m at 10 m/s]."""
     blank = points._replace(seen=np.zeros_like(points.seen), weight=np.ones_like(points.weight))
     sigma = np.repeat(BALANCE.noise, 3)
-    return np.asarray(_left(network, blank), np.float64) * sigma
+    found: Floats = np.asarray(_left(network, blank), np.float64) * sigma
+    return found
 
 
 @jax.jit
@@ -190,7 +192,9 @@ def compute(_: str, asked: TunnelLearnt, work: Work) -> Findings:
                 off.setdefault((count, model), []).append((points.posture[~is_shown], error))
             print(f"{count} postures, draw {draw + 1} of {asked.draws}", file=sys.stderr, flush=True)
     rng = np.random.default_rng(asked.seed)
-    summary = {f"{count} postures, {model}": figures(draws, rng) for (count, model), draws in off.items()}
+    summary: dict[str, Any] = {
+        f"{count} postures, {model}": figures(draws, rng) for (count, model), draws in off.items()
+    }
     summary |= {"measured": rms(points.wrench)} | {"points": len(points.wind), "postures": len(names)}
     data = to_dataset(summary, asked.postures)
     return Findings(f"What postures of the tunnel teach, {robot.name}", data, summary, files=[asked.robot])
@@ -199,7 +203,9 @@ def compute(_: str, asked: TunnelLearnt, work: Work) -> Findings:
 def coefficients_wrench(rows: Floats, points: Windows) -> Floats:
     """Return the wrenches (N, 6) of axisymmetric coefficients [N, N m at 10 m/s]."""
     blank = points._replace(seen=np.zeros_like(points.seen))
-    return np.asarray(refit.left(rows, blank, BALANCE).of_rows[:, 0], np.float64) * np.repeat(BALANCE.noise, 3)
+    left = np.asarray(refit.left(rows, blank, BALANCE).of_rows[:, 0], np.float64)
+    found: Floats = left * np.repeat(BALANCE.noise, 3)
+    return found
 
 
 def _learnt(
