@@ -69,7 +69,7 @@ class TunnelLearnt(tables.Table, frozen=True):
     """Card of the network of CFD."""
     postures: tuple[tables.Count, ...] = (1, 3, 10)
     """Numbers of postures to learn from."""
-    draws: tables.Count = 5
+    draws: tables.Count = 3
     """Draws of the postures."""
     seed: tables.Seed = 1
 
