@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -151,10 +152,19 @@ def judging(law: str, profile: str, seed: int, number: int, air: Mapping[str, An
         duration = float(draw.uniform(0.8, 1.6))
         wind = {"profile": "gust", "velocity": [0.0] * 3, "gust": gust, "start": 2.0, "duration": duration}
     keys = {"simulator.duration": seconds, "wind": wind, "mission": {}, "controller.aero": model, "simulator.aero": air}
-    config = rust.load_config(law, keys)
-    (WRONG if config["simulator"].get("sensors") else STARTS).apply(config, seed, number, rust.Robot(config["robot"]))
+    of = json.dumps([law, profile, dict(air), model], sort_keys=True)
+    if of not in _loaded:
+        config = rust.load_config(law, keys)
+        _loaded[of] = config, rust.Robot(config["robot"])
+    loaded, robot = _loaded[of]
+    config = copy.deepcopy(loaded)
+    (WRONG if config["simulator"].get("sensors") else STARTS).apply(config, seed, number, robot)
     config["wind"] = wind
     return config
+
+
+_loaded: dict[str, tuple[rust.Config, rust.Robot]] = {}
+"""Flights that judge, which differ in their wind and in what is drawn alone."""
 
 
 def fly(config: rust.Config, errors: Mapping[str, Any] | None, forward: Array) -> Any:
