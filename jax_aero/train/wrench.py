@@ -180,9 +180,7 @@ class ObservedWrenches:
         constants = -window.solve @ jnp.einsum("tac,ta->c", basis, before)
         return Errors(before + basis @ constants, constants)
 
-    def filtered(
-        self, total: Float[Array, "T 6 *columns"], start: Float[Array, "6 *columns"]
-    ) -> Float[Array, "T 6 *columns"]:  # noqa: F821
+    def filtered(self, total: Float[Array, "T 6 ..."], start: Float[Array, "6 ..."]) -> Float[Array, "T 6 ..."]:
         """Return what the observer sees of a wrench (T, 6), or of columns (T, 6, …), from what it holds at first."""
         share = jnp.asarray(self._share).reshape(6, *[1] * (start.ndim - 1))
 
