@@ -422,6 +422,8 @@ ENDING |= {"false_alarms_robot", "false_alarms_sensors"}
 ENDING |= {"ground_1", "ground_2", "ground_5", "height_errors", "robot_take_off_weak"}
 ENDING |= {"learnt_engines", "settings_most_friction", "settings_recommended"}
 ENDING |= {
+    "gap_sensor",
+    "mk3_settings_weak",
     "unmeasured_healthy",
     *(f"unmeasured_{way}" for way in ("accelerating", "braking", "cruise", "hover", "hover_2")),
 }
