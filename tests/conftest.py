@@ -189,7 +189,8 @@ def made_up_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     falls = {"test1": None, "test2": None, "test1_published": 21.5, "test2_published": None}
     falls |= dict.fromkeys(["test1_observer", "test1_published_observer"])
     falls |= dict.fromkeys(["test3", "test4", "robustness", "test4_published", "robustness_published"])
-    falls |= {"test3_published": 20.5}
+    falls |= {"test3_published": 20.5, "test1_gale": 27.6}
+    falls |= dict.fromkeys(["test2_gale", "test1_observer_gale", "robot_gale"])
     for name, lost_time in falls.items():
         digest = name.encode().hex().ljust(64, "0")
         dataset = record.to_dataset(

@@ -66,8 +66,7 @@ def counted(monkeypatch):
         traced.append(scenario.controller.time_step.shape)
         plant = state.plant.robot
         zeros = jnp.zeros_like(plant.base_position)
-        row = dict.fromkeys(batch.SAME, zeros)
-        row |= {"time": tick * scenario.plant.time_step, "com_position": scenario.wind.velocity}
+        row = {"time": tick * scenario.plant.time_step, "com_position": scenario.wind.velocity}
         row |= {"rotation_error": zeros[0], "thrust": state.plant.jets.thrust, "joint_position": plant.joint_position}
         row |= {"joint_torque": plant.joint_position, "aero_force_sim": zeros[None], "aero_force_control": zeros[None]}
         row |= {"degraded_modes": zeros[0]}

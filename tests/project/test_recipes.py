@@ -43,6 +43,7 @@ COPIED = ("jax_aero", "configs", "experiments", "paper_figs", "docs")
 LINKED = ("rust", "target", "tests", "Cargo.toml", "Cargo.lock")
 SCHEMAS = rust.schemas() | {name: tables.schema(kind) for name, kind in schema.TYPES.items()}
 """Schemas of the files of `configs`, by folder."""
+SHIPPED_CARD = "configs/aero/networks/default.json"
 SLOWEST = 1800
 """Longest time of a page's recipes [s]."""
 
@@ -134,8 +135,12 @@ def shown_commands(text: str) -> list[list[str]]:
 
 
 def check_flights(names: list[str], options: list[str], text: str) -> None:
-    """Experiments exist, or the page makes them, and `--set` names keys and values that they can have."""
-    changes = overrides.parse([value for option, value in itertools.pairwise(options) if option == "--set"])
+    """Experiments exist, or the page makes them, and `--set` names keys and values that they can have.
+
+    A shipped card stands for one that a command of the page writes to `results`.
+    """
+    values = [value for option, value in itertools.pairwise(options) if option == "--set"]
+    changes = overrides.parse([re.sub(r"results/[\w/]+\.json", SHIPPED_CARD, value) for value in values])
     for flown in names:
         if flown in places.names("experiments"):
             rust.load_config(flown, changes)

@@ -467,7 +467,6 @@ class Page extends Player {
     for (const [button, jet] of this.engines) button.setAttribute("aria-pressed", settings.engine?.[0] === jet);
     [...$("tour").children].forEach((button, index) => {
       button.setAttribute("aria-current", index === this.visited);
-      if (index === this.visited) $("tour").scrollLeft = button.offsetLeft - $("tour").offsetLeft - 40;
     });
     if (this.visited === null) $("caption").hidden = true;
   }
