@@ -35,6 +35,11 @@ class Backend:
     name: str
     module: Any
 
+    @property
+    def together(self) -> int:
+        """Return how many batches fly at once: of the crate, one begins while another ends on few cores."""
+        return 2 if self.name == "rust" else 1
+
     def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.FlightResult:
         """Fly one configuration, with the whole log."""
         flown: rust.FlightResult = self.module.fly(config, progress)

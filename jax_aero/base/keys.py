@@ -94,6 +94,15 @@ def set_key(config: dict[str, Any], key: str, value: Any) -> None:
     table[_place(table, parents, last)] = copy.deepcopy(value)
 
 
+def replaced(table: Any, key: str, value: Any) -> Any:
+    """Return a table in which a dotted key that it has is `value`; only what holds the key is copied."""
+    part, _, rest = key.partition(".")
+    copied = list(table) if isinstance(table, list) else dict(table)
+    place = int(part) if isinstance(table, list) else part
+    copied[place] = replaced(copied[place], rest, value) if rest else value
+    return copied
+
+
 def _place(table: Any, parents: list[str], part: str) -> int | str:
     """Return the index of a part of a key in the table or list at `parents`."""
     if isinstance(table, dict):

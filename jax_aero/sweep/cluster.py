@@ -11,6 +11,8 @@ import os
 import pickle
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -101,12 +103,13 @@ def _connect(ray: Any, address: str | None, workers: int | None) -> None:
 def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any]) -> Iterator[tuple[Key, Any]]:
     task = ray.remote(num_cpus=1, max_retries=2)(_run_remotely)
     limit = QUEUED_PER_CPU * max(1, int(ray.cluster_resources().get("CPU", 1)))
-    waiting = list(jobs)
+    waiting = iter(jobs)
     running: dict[Any, Key] = {}
-    while waiting or running:
-        while waiting and len(running) < limit:
-            key = waiting.pop(0)
+    while True:
+        for key in islice(waiting, limit - len(running)):
             running[task.remote(common, jobs[key])] = key
+        if not running:
+            return
         (done, *_), _ = ray.wait(list(running), num_returns=1)
         key = running.pop(done)
         try:
@@ -119,8 +122,14 @@ def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any]) -> Iterator[tuple[Ke
             raise Refused(f"job {key} did not come back ({reason}); the same command goes on with it") from None
 
 
+@lru_cache(maxsize=1)
+def _unpacked(common: bytes) -> Any:
+    """Return what all jobs share, made once in each process."""
+    return pickle.loads(common)
+
+
 def _run_remotely(common: bytes, job: Any) -> Any:
-    task, shared, expected = pickle.loads(common)
+    task, shared, expected = _unpacked(common)
     if expected != VERSIONS:
         raise Refused(f"a node has other numerics ({VERSIONS}, here {expected})")
     return task(shared, job)

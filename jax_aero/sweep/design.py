@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from jax_aero import rust
@@ -22,6 +23,9 @@ from jax_aero.results import manifest
 from jax_aero.sweep import columns, keys, table
 from jax_aero.sweep.perturbation import members
 from jax_aero.sweep.spec import Level, Spec
+
+MOST_TEXTS = 4096
+"""Greatest number of cells whose configuration is kept, some 40 MB."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,10 @@ class Design:
     def __post_init__(self) -> None:
         if taken := {*columns.FLIGHTS, *columns.CELLS} & {axis.name for axis in self.spec.axes}:
             raise Refused(f"sweep {self.spec.name}: axis `{min(taken)}` has the name of a column of its tables")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs: it reads and resolves no flight, and makes all else itself, once."""
+        return {"spec": self.spec, "file": self.file, "bases": self.bases}
 
     @cached_property
     def cells(self) -> list[tuple[Level, ...]]:
@@ -90,7 +98,21 @@ class Design:
         return {name: _load(self.spec.name, name) for name in sorted(names)}
 
     def cell_config(self, cell: int) -> rust.Config:
-        """Return the unperturbed configuration of a cell."""
+        """Return the unperturbed configuration of a cell, which the caller may change."""
+        text = self._texts.get(cell)
+        if text is None:
+            if len(self._texts) >= MOST_TEXTS:
+                self._texts.clear()
+            text = self._texts[cell] = msgspec.json.encode(self._make_cell(cell))
+        config: rust.Config = msgspec.json.decode(text)
+        return config
+
+    @cached_property
+    def _texts(self) -> dict[int, bytes]:
+        """Configurations of cells as JSON, which is read faster than a configuration is made or copied."""
+        return {}
+
+    def _make_cell(self, cell: int) -> rust.Config:
         levels = self.cells[cell]
         with self._name_cell(cell):
             base, *others = {level.base for level in levels if level.base} or {self.spec.base}
@@ -109,6 +131,24 @@ class Design:
         """Perturb a configuration in place by the draws of a repeat, but for the `chosen` keys of seeds."""
         self.spec.perturbation.apply(config, self.spec.seed, repeat, _robot(config["robot"]), chosen)
 
+    def config_hash(self, cell: int, config: rust.Config) -> str:
+        """Return `table.config_hash` of a configuration of a cell, perturbed or not; every file is read once."""
+        levels = zip(self.spec.axes, self.cells[cell], strict=True)
+        of_cell = tuple(level.label for axis, level in levels if not axis.is_sampled)
+        paths = self._paths.get(of_cell)
+        if paths is None:
+            paths = self._paths[of_cell] = rust.path_keys(config)
+        return table.config_hash(config, paths, self._file_hash)
+
+    @cached_property
+    def _paths(self) -> dict[tuple[str | float, ...], list[str]]:
+        """Keys of paths by the levels of axes that are not sampled; a sampled number is no path."""
+        return {}
+
+    @cached_property
+    def _file_hash(self) -> Callable[[Path], str]:
+        return cache(file_hash)
+
     @property
     def digest(self) -> str:
         """Return a hash of everything except code that determines the result: levels and files that they name."""
@@ -125,7 +165,7 @@ class Design:
         return {
             "axes": [axis.name for axis in self.spec.axes],
             "labels": [[level.label for level in levels] for levels in self.cells],
-            "cells": [table.config_hash(self.cell_config(cell)) for cell in self._first_of_levels()],
+            "cells": [self.config_hash(cell, self.cell_config(cell)) for cell in self._first_of_levels()],
             "networks": [[card.name, file_hash(card)] for card in members(ensemble)] if ensemble else [],
             "perturbation": manifest.make_portable(plain_values.to_builtins(self.spec.perturbation)),
         }
@@ -153,10 +193,13 @@ class Design:
                 )
         firsts: dict[tuple[str | float, ...], int] = {}
         for cell, levels in enumerate(self.cells):
-            config = self.cell_config(cell)
             with self._name_cell(cell):
                 if (first := firsts.setdefault(tuple(level.label for level in levels), cell)) < cell:
                     raise Refused(f"cell {first} has the same levels; expected each combination once")
+        # Samples, of which there may be many, are refused when they are drawn.
+        for cell in range(1 if self.spec.is_sampled else len(self.cells)):
+            config = self.cell_config(cell)
+            with self._name_cell(cell):
                 if (backend := config.get("backend", self.spec.backend)) != self.spec.backend:
                     raise Refused(
                         f"`backend` of the flight is {backend!r}; expected {self.spec.backend!r}, as of the sweep"
@@ -164,6 +207,14 @@ class Design:
                 rust.check_config(config)  # unperturbed first, since only a valid one can be perturbed
                 self.perturb(config, 0)
                 rust.check_config(config)
+
+    def refuse_samples(self, rows: Iterable[int], reasons: Iterable[str | None]) -> None:
+        """Refuse a sample whose first flight could not be flown, for a reason."""
+        for row, reason in zip(rows, reasons, strict=True):
+            cell, repeat = self.place(row)
+            if reason is not None and repeat == 0 and self.spec.is_sampled:
+                with self._name_cell(cell):
+                    raise Refused(reason)
 
     @contextmanager
     def _name_cell(self, cell: int) -> Iterator[None]:

@@ -114,12 +114,16 @@ class Perturbation(tables.Table, frozen=True):
         self, config: dict[str, Any], seed: int, repeat: int, robot: Robot, chosen: Set[str] = frozenset()
     ) -> None:
         """Perturb a configuration of this robot in place, but for the `chosen` keys of seeds."""
-        # Every number is drawn whether it is used or not, and each kind from a stream of its own: a perturbation that
-        # is switched on leaves the others as they were.
-        draws = {kind: np.random.default_rng([seed, repeat, number]) for number, kind in enumerate(STREAMS)}
+
+        # Each kind has a stream of its own: a perturbation that is switched on leaves the others as they were.
+        def stream(kind: str) -> np.random.Generator:
+            return np.random.default_rng([seed, repeat, STREAMS.index(kind)])
 
         def draw_around(name: str, values: Sequence[float]) -> list[float]:
-            offsets = draws[name].uniform(-1.0, 1.0, len(values)) * getattr(self, name)
+            width = getattr(self, name)
+            if not width:
+                return [float(value) for value in values]
+            offsets = stream(name).uniform(-1.0, 1.0, len(values)) * width
             return [float(value + offset) for value, offset in zip(values, offsets, strict=True)]
 
         initial = config["simulator"]["initial"]
@@ -133,11 +137,11 @@ class Perturbation(tables.Table, frozen=True):
         self._mislead(config, draw_around, robot)
         self._wear(config, draw_around, robot)
         if self.any_direction:
-            _turn(config, draws["direction"])
+            _turn(config, stream("direction"))
         self._reshape(config, draw_around, robot.aero_link_names)
         if self.ensemble:
             _draw(config["simulator"]["aero"], members(self.ensemble), seed, repeat)
-        _seed(config, draws["seeds"], chosen)
+        _seed(config, stream("seeds"), chosen)
 
     def _blow(self, wind: dict[str, Any], around: Any) -> None:
         if "velocity" not in wind or not (self.wind_speed or self.wind_direction_deg):

@@ -12,9 +12,13 @@ import io
 import os
 import re
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -49,22 +53,46 @@ SWEEP_FILE, TABLES = places.SWEEP_FILE, KINDS["sweeps"].files
 def _fly_chunks(
     design: Design, chunks: list[range], workers: int | None, cluster: Ray | None, progress: rust.Progress
 ) -> Iterator[tuple[range, Any]]:
-    """Yield rows and table of every chunk: here, one flight per thread, or on a cluster, one chunk per processor."""
+    """Yield rows and table of every chunk: here, or on a cluster, one chunk per processor."""
     if cluster:
-        # The sweep is read and resolved here; nodes only read the robot's files.
-        shared = (design.spec, design.bases)
-        yield from cluster.spread(_fly_remotely, shared, dict(zip(chunks, chunks, strict=True)))
-        return
+        yield from cluster.spread(_fly_remotely, design, dict(zip(chunks, chunks, strict=True)))
+    else:
+        yield from _fly_here(design, chunks, workers, progress)
+
+
+def _fly_here(
+    design: Design, chunks: list[range], workers: int | None, progress: rust.Progress
+) -> Iterator[tuple[range, Any]]:
+    """Yield the chunks in order; the next flies while the last flights of one end and its rows are made."""
     backend = backends.backend(design.spec.backend)
-    for chunk in chunks:
-        yield chunk, fly_chunk(design, chunk, backend, workers, progress)
+    flown: dict[range, int] = {}
+    is_over = threading.Event()
+
+    def fly(chunk: range) -> Any:
+        def count(done: int, _: int) -> None:
+            if is_over.is_set():
+                raise KeyboardInterrupt
+            flown[chunk] = done
+
+        return fly_chunk(design, chunk, backend, workers, count)
+
+    waiting = iter(chunks)
+    with ThreadPoolExecutor(backend.together) as pool:
+        try:
+            running = deque((chunk, pool.submit(fly, chunk)) for chunk in islice(waiting, backend.together))
+            while running:
+                chunk, answer = running.popleft()
+                while not wait([answer], timeout=LINE_INTERVAL / 100).done:
+                    progress(sum(flown.values()), design.n_rows)
+                flown.pop(chunk, None)
+                running.extend((after, pool.submit(fly, after)) for after in islice(waiting, 1))
+                yield chunk, answer.result()
+        finally:
+            is_over.set()
 
 
-def _fly_remotely(shared: tuple[Spec, Any], chunk: range) -> Any:
-    spec, bases = shared
-    design = Design(spec)
-    vars(design)["bases"] = bases
-    return fly_chunk(design, chunk, backends.backend(spec.backend), threads=1)
+def _fly_remotely(design: Design, chunk: range) -> Any:
+    return fly_chunk(design, chunk, backends.backend(design.spec.backend), threads=1)
 
 
 def fly_chunk(
@@ -76,8 +104,10 @@ def fly_chunk(
 ) -> Any:
     """Return the table of one chunk."""
     configs = [design.row_config(row) for row in chunk]
+    hashes = [design.config_hash(design.place(row)[0], config) for row, config in zip(chunk, configs, strict=True)]
     flown = backend.fly_batch(configs, threads, progress)
-    return table.rows(design.spec, design.cells, chunk, configs, flown)
+    design.refuse_samples(chunk, [one.reason if isinstance(one, backends.Failure) else None for one in flown])
+    return table.rows(design.spec, design.cells, chunk, configs, hashes, flown)
 
 
 def run(
@@ -124,8 +154,8 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
     interval = 0.1 if sys.stderr.isatty() else LINE_INTERVAL
     with progress_bar("flight", design.spec.name, initial=done, disable=False, mininterval=interval) as show:
 
-        def show_within(flights: int, _: int) -> None:
-            show(done + flights, design.n_rows)
+        def show_within(flights: int, total: int) -> None:
+            show(done + flights, total)
 
         for chunk, part in _fly_chunks(design, missing, workers, cluster, show_within):
             content = parquet(part)

@@ -5,10 +5,9 @@ The tables do not depend on when, where or in which order the flights were flown
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -17,7 +16,7 @@ import pyarrow as pa
 from jax_aero import rust
 from jax_aero.backends import Failure
 from jax_aero.base import quantities
-from jax_aero.base.keys import get, set_key
+from jax_aero.base.keys import get, replaced
 from jax_aero.base.references import file_hash
 from jax_aero.base.result import FlightResult
 from jax_aero.sweep import aggregate, columns
@@ -49,18 +48,19 @@ def rows(
     levels: Cells,
     indices: Sequence[int],
     configs: Sequence[Mapping[str, Any]],
+    hashes: Sequence[str],
     flights: Sequence[FlightResult | Failure],
 ) -> pa.Table:
-    """Return flights as rows."""
+    """Return flights, with the hashes of their configurations, as rows."""
     records = []
-    for index, config, flown in zip(indices, configs, flights, strict=True):
+    for index, config, config_hash, flown in zip(indices, configs, hashes, flights, strict=True):
         repeat, cell = divmod(index, len(levels))
         labels = [level.label for level in levels[cell]]
         record: dict[str, Any] = {"row": index, "cell": cell, "repeat": repeat}
         record |= {axis.name: label for axis, label in zip(spec.axes, labels, strict=True)}
         if spec.perturbation.ensemble:
             record["member"] = Path(config["simulator"]["aero"]["card"]).stem
-        record["config_hash"] = config_hash(config)
+        record["config_hash"] = config_hash
         if isinstance(flown, Failure):
             record |= {"outcome": "error", "error": flown.reason}
         else:
@@ -83,12 +83,14 @@ def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
     return pa.Table.from_pylist(records, pa.schema([first, *_axes(spec, levels), *others]))
 
 
-def config_hash(config: Mapping[str, Any]) -> str:
+def config_hash(
+    config: Mapping[str, Any], paths: Sequence[str] | None = None, hash_of: Callable[[Path], str] = file_hash
+) -> str:
     """Return a short hash of a configuration, with files instead of their paths; equal on every machine.
 
-    It accepts any configuration, whereas `rust.config_digest` refuses invalid ones, which also have a row.
+    It accepts any configuration, whereas `rust.config_digest` refuses invalid ones, which also have a row. `paths` are
+    its `rust.path_keys`, if they are known.
     """
-    hashed = copy.deepcopy(dict(config))
-    for key in rust.path_keys(hashed):
-        set_key(hashed, key, file_hash(Path(get(hashed, key))))
-    return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()[:16]
+    for key in rust.path_keys(config) if paths is None else paths:
+        config = replaced(config, key, hash_of(Path(get(config, key))))
+    return hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]

@@ -20,12 +20,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from jax_aero import backends, rust
-from jax_aero.base import places, quantities
+from jax_aero.base import places, quantities, references
 from jax_aero.base.terminal import Refused
 from jax_aero.cli import main
 from jax_aero.commands import sweep as command
 from jax_aero.results import identity, outdated
 from jax_aero.sweep import aggregate, cluster, columns, keys, run, spec, table
+from jax_aero.sweep import design as designs
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
 from jax_aero.sweep.perturbation import PARTS, Perturbation, members, perturbed
@@ -501,7 +502,8 @@ def test_files_of_one_name_that_change_places_make_another_sweep_of_other_rows(t
             (tmp_path / folder / "wind.csv").write_text(text)
         made = design(axis=[{"name": "wind", "level": level}])
         configs = [made.row_config(row) for row in range(2)]
-        rows = table.rows(made.spec, made.cells, range(2), configs, [backends.Failure("")] * 2)
+        hashes = [made.config_hash(cell, config) for cell, config in enumerate(configs)]
+        rows = table.rows(made.spec, made.cells, range(2), configs, hashes, [backends.Failure("")] * 2)
         found.append((made.digest, rows["config_hash"].to_pylist()))
     (before, (one, other)), (after, swapped) = found
     assert before != after
@@ -554,6 +556,35 @@ def test_a_drawn_flight_is_that_of_its_network_to_the_bit():
         alone = rust.fly_batch([named], 1)[0].summary["max_rotation_error"]
         assert row["max_rotation_error_deg"] == math.degrees(alone)
     assert rows[0]["member"] != rows[1]["member"]
+
+
+def test_a_sweep_reads_each_file_and_makes_each_cell_once(monkeypatch):
+    """Rows have the hashes that their configurations have alone, also where the network is drawn."""
+    made, read, set_all = drawing(), [], []
+    monkeypatch.setattr(designs, "file_hash", lambda path: read.append(path) or references.file_hash(path))
+    change = keys.set_all
+    monkeypatch.setattr(keys, "set_all", lambda *given: set_all.append(0) or change(*given))
+    for row in range(made.n_rows):
+        config = made.row_config(row)
+        assert made.config_hash(made.place(row)[0], config) == table.config_hash(config)
+    assert len(read) == len(set(read))
+    assert len(set_all) == len(made.cells)
+
+
+def test_a_sample_that_cannot_be_flown_is_refused_when_it_is_drawn(tmp_path):
+    """Not before: there may be many, and a check takes longer than a flight."""
+    axis = {"name": "factor", "key": "simulator.jets.thrust_factor", "low": 0.5, "high": 1.0}
+    made = design(design="sobol", samples=8, repeats=1, axis=[axis], set={"simulator.duration": 0.02})
+    reasons = [None] * 7 + ["no thrust"]
+    with pytest.raises(Refused, match=r"cell 7 \(factor = 0\.\d+\): no thrust"):
+        made.refuse_samples(range(8), reasons)
+    made.refuse_samples(range(8, 16), reasons)  # a later repeat is a row with an error
+
+
+def test_another_process_gets_no_cells(tmp_path):
+    made = design()
+    assert made.digest == pickle.loads(pickle.dumps(made)).digest
+    assert vars(pickle.loads(pickle.dumps(made))).keys() == {"spec", "file", "bases"}
 
 
 def test_an_ensemble_that_cannot_be_drawn_is_refused(tmp_path):
@@ -635,7 +666,7 @@ def test_what_the_guard_finds_is_unknown_of_jax():
     result = rust.FlightResult({}, np.zeros(0), "completed", None, None, summary)
     for backend, known in (("rust", 1.0), ("jax", None)):
         made = design(backend=backend, repeats=1)
-        flown = table.rows(made.spec, made.cells, [0], [made.row_config(0)], [result])
+        flown = table.rows(made.spec, made.cells, [0], [made.row_config(0)], [""], [result])
         row = flown.to_pylist()[0]
         assert {row[name] for name in table.OF_DETECTION} == {known}
         cell = aggregate.figures({name: flown[name].to_numpy(zero_copy_only=False) for name in flown.column_names})
