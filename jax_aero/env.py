@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jax_aero import env_task
 from jax_aero.base.features import Aim, aim_of
 from jax_aero.base.twin import Float, Int, Key, jax, jnp
 from jax_aero.body.kinematics import kinematics
@@ -33,20 +34,7 @@ from jax_aero.body.spatial import rotation_angle
 from jax_aero.control.law.residual import Steering
 from jax_aero.control.law.setpoint import update
 from jax_aero.control.tick import MomentumController
-from jax_aero.env_task import (
-    FEATURES,
-    Observation,
-    Reward,
-    Task,
-    TaskState,
-    check_observation,
-    is_lost,
-    limit_action,
-    observe,
-    rewards,
-    steer,
-    task_of,
-)
+from jax_aero.env_task import FEATURES, Observation, Reward, Task, TaskState
 from jax_aero.rust import load_config
 from jax_aero.sim.outcome import FLYING
 from jax_aero.sim.preparation import prepare
@@ -133,10 +121,10 @@ class FlightEnv:
         task: Task | str | None = None,
         drawn: Sequence[Mapping[str, Any]] = (),
         observation: Observation = FEATURES,
-        reward: Reward = rewards,
+        reward: Reward = env_task.rewards,
     ) -> None:
-        self.task, self.observation, self._reward = task_of(task), observation, reward
-        check_observation(observation)
+        self.task, self.observation, self._reward = env_task.task_of(task), observation, reward
+        env_task.check_observation(observation)
         precision = np.dtype(jnp.result_type(float))
         configs = list(drawn) or [load_config(self.task.experiment)]
         ready = [self._prepare(config, precision) for config in configs]
@@ -225,7 +213,7 @@ class FlightEnv:
     def step(self, state: EnvState, action: Float[Array, " u"]) -> EnvState:
         """Fly one tick with an action between −1 and 1."""
         episode = state.data
-        action = limit_action(jnp, action, (self.action_size,), episode.wind.dtype)
+        action = env_task.limit_action(jnp, action, (self.action_size,), episode.wind.dtype)
         drawn = self._pick(episode.drawn).scenario
         scenario: Scenario = replace_values(drawn, self._wind(episode))
         scenario = replace(scenario, controller=self._steered(drawn, action))
@@ -234,7 +222,7 @@ class FlightEnv:
         task_state, obs = self._observe(episode)
         parts = self._reward(jnp, task_state, action)
         is_no_number = ~jnp.all(jnp.isfinite(action))
-        lost = (flight.loss != FLYING) | is_lost(jnp, task_state, scenario.fall) | is_no_number
+        lost = (flight.loss != FLYING) | env_task.is_lost(jnp, task_state, scenario.fall) | is_no_number
         errors = {
             "attitude_error": rotation_angle(task_state.aim.rotation.T @ task_state.rotation),
             "position_error": jnp.linalg.norm(task_state.com - task_state.aim.com),
@@ -278,7 +266,7 @@ class FlightEnv:
         """Return the controller with an action as its residual."""
         controller, jets = scenario.controller, scenario.plant.robot.jets.count
         assert isinstance(controller, MomentumController)
-        residual = Steering(*steer(self.task, action, jets), self.task.steering == "rates")
+        residual = Steering(*env_task.steer(self.task, action, jets), self.task.steering == "rates")
         return replace(controller, residual=residual)
 
     def _aim(self, drawn: _Drawn, episode: Episode) -> Aim:
@@ -305,5 +293,5 @@ class FlightEnv:
             wrench=episode.flight.controller.residual.wrench,
             thrust_max=jnp.asarray(plant.robot.jets.thrust_max, episode.wind.dtype),
         )
-        obs: Array = observe(jnp, self.observation, task_state)
+        obs: Array = env_task.observe(jnp, self.observation, task_state)
         return task_state, obs

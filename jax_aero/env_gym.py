@@ -24,22 +24,9 @@ import numpy as np
 from gymnasium.vector.utils import batch_space  # type: ignore[import-not-found,unused-ignore]
 from numpy.typing import NDArray
 
-from jax_aero import rust
+from jax_aero import env_task, rust
 from jax_aero.base.features import Aim
-from jax_aero.env_task import (
-    FEATURES,
-    Observation,
-    Reward,
-    Task,
-    TaskState,
-    check_observation,
-    is_lost,
-    limit_action,
-    observe,
-    rewards,
-    steer,
-    task_of,
-)
+from jax_aero.env_task import FEATURES, Observation, Reward, Task, TaskState
 
 __all__ = ["HoverEnv", "HoverVectorEnv"]
 
@@ -79,11 +66,11 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         drawn: Sequence[Mapping[str, Any]] = (),
         render_mode: Literal["rgb_array"] | None = None,
         observation: Observation = FEATURES,
-        reward: Reward = rewards,
+        reward: Reward = env_task.rewards,
     ) -> None:
-        self.task, self.render_mode = task_of(task), render_mode
+        self.task, self.render_mode = env_task.task_of(task), render_mode
         self._observation, self._reward = observation, reward
-        check_observation(observation)
+        env_task.check_observation(observation)
         configs = list(drawn) or [rust.load_config(self.task.experiment)]
         self._drawn = [self.task.episode(config) for config in configs]
         self._config = self._drawn[0]
@@ -119,7 +106,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.floating]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
-        clipped = limit_action(np, action, (self._size,), np.float64)
+        clipped = env_task.limit_action(np, action, (self._size,), np.float64)
         obs, lost, ended, parts = _step([self], clipped[None])
         found = {name: float(values[0]) for name, values in parts.items()}
         return obs[0], 0.0 if lost[0] else sum(found.values()), bool(lost[0]), bool(ended[0]), found
@@ -190,7 +177,7 @@ class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.
         task: Task | str | None = None,
         drawn: Sequence[Mapping[str, Any]] = (),
         observation: Observation = FEATURES,
-        reward: Reward = rewards,
+        reward: Reward = env_task.rewards,
     ) -> None:
         # Gymnasium's own vector environments have it here too, where libraries ask for it.
         self.autoreset_mode = self.metadata["autoreset_mode"]
@@ -224,7 +211,7 @@ class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.
         self, actions: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Fly one tick of every environment."""
-        clipped = limit_action(np, actions, (self.num_envs, self.envs[0]._size), np.float64)
+        clipped = env_task.limit_action(np, actions, (self.num_envs, self.envs[0]._size), np.float64)
         obs, lost, ended, parts = _step(self.envs, clipped)
         infos: Infos = dict(parts)
         for number in map(int, np.flatnonzero(lost | ended)):
@@ -238,12 +225,12 @@ class HoverVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.
 def _step(envs: Sequence[HoverEnv], actions: NDArray[np.float64]) -> tuple[Any, Any, Any, dict[str, Any]]:
     """Fly one tick of each episode; return observations, which are lost, which are at their end, parts of rewards."""
     task, fall, jets = envs[0].task, envs[0]._fall, envs[0]._thrust_max.size
-    residual = rust.Residual(*steer(task, actions, jets), task.steering == "rates")
+    residual = rust.Residual(*env_task.steer(task, actions, jets), task.steering == "rates")
     goes_on = rust.step_flights([env._flight for env in envs], residual)
     for env, action in zip(envs, actions, strict=True):
         env._flown.append(action)
     state, obs = _observe(envs)
-    lost = ~goes_on | is_lost(np, state, fall) | ~np.isfinite(actions).all(axis=-1)
+    lost = ~goes_on | env_task.is_lost(np, state, fall) | ~np.isfinite(actions).all(axis=-1)
     ended = np.array([len(env._flown) >= env._last_tick for env in envs])
     return obs, lost, ended, dict(envs[0]._reward(np, state, actions))
 
@@ -263,7 +250,7 @@ def _observe(envs: Sequence[HoverEnv]) -> tuple[TaskState, NDArray[np.float32]]:
         wrench=seen.residual_wrench,
         thrust_max=envs[0]._thrust_max,
     )
-    return state, observe(np, envs[0]._observation, state).astype(np.float32)
+    return state, env_task.observe(np, envs[0]._observation, state).astype(np.float32)
 
 
 gymnasium.register(

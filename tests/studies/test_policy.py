@@ -123,12 +123,20 @@ def learnt_of(deviations):
 
 def test_ppo_holds_a_mass_against_a_force(tmp_path):
     found = ppo.trainer(Spring(), SETTINGS).train(0, checkpoint=tmp_path / "c", digest="a")
+    network = ppo.network_of(Spring(), SETTINGS)
     winds, numbers = jnp.array([[-0.9, 0.0, 0.0], [0.9, 0.0, 0.0]]), jnp.zeros(2, jnp.int32)
     nothing = jax.tree.map(jnp.zeros_like, found.parameters)
-    rewards, without = (
-        fly_episodes(Spring(), ppo.Normalised(), one, winds, numbers)[0] for one in (found.parameters, nothing)
-    )
+    rewards, without = (fly_episodes(Spring(), network, one, winds, numbers)[0] for one in (found.parameters, nothing))
     assert (rewards > without + 0.1).all()
+
+
+def test_a_network_begins_with_small_actions_of_observations_as_they_are():
+    network = ppo.network_of(Spring(), SETTINGS)
+    parameters, obs = network.init(jax.random.key(0)), jnp.linspace(-1.0, 1.0, 24)
+    np.testing.assert_allclose(parameters.moments.scale(obs), obs, atol=1e-6)
+    actions = network.apply(parameters, obs)
+    assert actions.shape == (2,)
+    assert 0.0 < float(jnp.abs(actions).max()) < 0.05
 
 
 def test_observations_are_scaled_by_their_running_moments():

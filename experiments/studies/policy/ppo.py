@@ -14,6 +14,7 @@ Source: Schulman et al. 2017, arXiv:1707.06347; advantages: Schulman et al., ICL
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -95,12 +96,18 @@ class Actor(NamedTuple):
     moments: Moments
 
 
+@dataclass(frozen=True)
 class Normalised:
     """The network whose parameters are an `Actor`."""
 
+    inputs: int
+    hidden: tuple[int, ...]
+    actions: int
+
     def init(self, key: Array) -> Actor:
-        """Return nothing: PPO begins by itself."""
-        raise NotImplementedError
+        """Return initial parameters, whose actions are almost zero and of observations as they are."""
+        policy = init_network(key, self.inputs, self.hidden, self.actions, 0.01)
+        return Actor(policy, Moments(jnp.zeros(self.inputs), jnp.ones(self.inputs), jnp.zeros(())))
 
     def apply(self, parameters: Actor, obs: Float[Array, " o"]) -> Float[Array, " u"]:
         """Return the action of an observation."""
@@ -147,6 +154,11 @@ class Sample(NamedTuple):
     """1 up to the loss of the flight, 0 after it."""
 
 
+def network_of(env: FlightEnv, settings: Settings) -> Normalised:
+    """Return the network that is trained."""
+    return Normalised(env.observation_size, settings.hidden, env.action_size)
+
+
 def trainer(env: FlightEnv, settings: Settings) -> Trainer:
     """Return the training of an environment by these settings."""
     return Trainer(settings.steps, partial(_start, env, settings), partial(_step, env, settings))
@@ -156,7 +168,7 @@ def _start(env: FlightEnv, settings: Settings, key: Array) -> _State:
     for_policy, for_value, for_flights = jax.random.split(key, 3)
     inputs, hidden = env.observation_size, settings.hidden
     learnt = Learnt(
-        init_network(for_policy, inputs, hidden, env.action_size, 0.01),
+        network_of(env, settings).init(for_policy).policy,
         jnp.full(env.action_size, jnp.log(settings.deviation)),
         init_network(for_value, inputs, hidden, 1, 0.1),
     )

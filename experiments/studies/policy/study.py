@@ -107,7 +107,8 @@ class PolicyConfig(tables.Table, frozen=True):
             network = policy.perceptron(env, self.gradients.hidden)
             return policy.trainer(env, self.gradients, network), network
         assert self.ppo is not None
-        return ppo.trainer(FlightEnv(self.task, drawn), self.ppo), ppo.Normalised()
+        env = FlightEnv(self.task, drawn)
+        return ppo.trainer(env, self.ppo), ppo.network_of(env, self.ppo)
 
     @property
     def flight(self) -> rust.Config:
