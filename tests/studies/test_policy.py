@@ -85,6 +85,20 @@ def test_starts_of_training_and_judgement_differ():
         assert np.abs(drawn - drawn[0]).max() <= 2.0 * width
 
 
+def test_a_training_with_a_robot_s_engines_is_pushed_and_kicked_in_turbulence():
+    """Every episode otherwise, by at most what the file says; engines answer late."""
+    config = policy.STUDY.read("hover_engines")[1]
+    assert config.task.profile == "turbulent"
+    drawn = config.drawn(policy.TRAINING, 8)
+    pushes, kicks = zip(*(one["disturbances"]["pushes"] for one in drawn), strict=True)
+    forces, moments = (np.array([one[key] for one in of]) for of, key in ((pushes, "force"), (kicks, "moment")))
+    for vectors, most in ((forces, config.disturbed.push), (moments, config.disturbed.kick)):
+        sizes = np.linalg.norm(vectors, axis=1)
+        assert len(np.unique(sizes)) == 8
+        assert 0.0 < sizes.min() < sizes.max() <= most
+    assert {one["simulator"]["actuation"]["thrust_delay"] for one in drawn} == {0.04}
+
+
 def test_a_flight_of_the_crate_earns_what_it_earns_in_the_environment():
     task = Task("test1", duration=0.2, ramp=0.05)
     hover = HoverEnv(task)

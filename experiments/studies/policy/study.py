@@ -30,7 +30,7 @@ from jax_aero.base.terminal import ConfigError
 from jax_aero.body.robot import load_robot
 from jax_aero.control.law.policy_card import make_card
 from jax_aero.env import FlightEnv
-from jax_aero.env_task import Steering, Task, TaskState, is_lost, rewards
+from jax_aero.env_task import Profile, Steering, Task, TaskState, disturb, is_lost, rewards
 from jax_aero.results.study import Findings, Study
 from jax_aero.results.work import Work
 from jax_aero.sim.plant import COMPILER_OPTIONS
@@ -44,6 +44,15 @@ SOON = 0.9
 """Reward whose time is recorded."""
 CHUNK = 64
 """Episodes that are judged at once, and all of them while a policy is trained."""
+
+
+class Disturbed(tables.Table, frozen=True):
+    """What is drawn beside the starts, as by `env_task.disturb`."""
+
+    push: tables.NonNegative = 0.0
+    """Greatest force on the chest for 0.2 s [N]."""
+    kick: tables.NonNegative = 0.0
+    """Greatest moment on the chest for 0.25 s [N m]."""
 
 
 class PolicyConfig(tables.Table, frozen=True):
@@ -61,8 +70,12 @@ class PolicyConfig(tables.Table, frozen=True):
     steering: Steering = "rates"
     start: Perturbation = Perturbation()
     """Half widths of the distributions of starts, and of whatever else an episode draws."""
+    disturbed: Disturbed = Disturbed()
+    """Greatest disturbances of an episode."""
     duration: tables.Positive = 10.0
     """Duration of an episode [s]."""
+    profile: Profile = "ramp"
+    """Course of the wind."""
     wind_max: tables.Positive = 12.0
     """Greatest wind [m/s]."""
     thrust_rate: tables.Positive = 200.0
@@ -94,6 +107,7 @@ class PolicyConfig(tables.Table, frozen=True):
             self.experiment,
             self.steering,
             duration=self.duration,
+            profile=self.profile,
             wind_max=self.wind_max,
             thrust_rate=self.thrust_rate,
             joint_velocity=self.joint_velocity,
@@ -116,9 +130,11 @@ class PolicyConfig(tables.Table, frozen=True):
         return rust.load_config(self.experiment, self.set)
 
     def drawn(self, seed: int, count: int) -> list[dict[str, Any]]:
-        """Return configurations with other starts."""
-        config = self.flight
-        robot, drawn = rust.Robot(config["robot"]), [copy.deepcopy(config) for _ in range(count)]
+        """Return configurations with other starts and disturbances."""
+        config, most = self.flight, self.disturbed
+        robot = rust.Robot(config["robot"])
+        drawn = disturb(config, count, seed, duration=self.duration, push=most.push, kick=most.kick)
+        drawn = [copy.deepcopy(one) for one in drawn]  # whose parts are shared
         for repeat, one in enumerate(drawn):
             self.start.apply(one, seed, repeat, robot)
         return drawn
