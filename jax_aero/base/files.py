@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import json
 import math
 import os
@@ -21,7 +22,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -338,3 +339,39 @@ def write_netcdf(path: Path, dataset: Any) -> None:
     encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.dims}
     encoding |= {name: {"_FillValue": None} for name, variable in dataset.coords.items() if variable.dtype.kind == "f"}
     write_bytes(path, dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
+
+
+class Variables(NamedTuple):
+    """What a dataset holds: dimensions, values and attributes of each variable and coordinate, and its attributes."""
+
+    variables: Mapping[str, tuple[Any, Any, Mapping[str, Any]]]
+    coords: Mapping[str, tuple[Any, Any, Mapping[str, Any]]]
+    facts: Mapping[str, Any]
+
+
+def write_variables(path: Path, dataset: Variables) -> None:
+    """Write what `write_netcdf` writes, without xarray, whose import takes longer than most flights."""
+    import h5netcdf
+    import h5py
+
+    stream = io.BytesIO()
+    with h5netcdf.File(stream, "w") as file:
+        file.attrs.update(dataset.facts)
+        for name, (along, values, attributes) in {**dataset.coords, **dataset.variables}.items():
+            dims = (along,) if isinstance(along, str) else along
+            for dim, size in zip(dims, values.shape, strict=True):
+                if dim not in file.dimensions:
+                    file.dimensions[dim] = size
+            more: dict[str, Any] = {}
+            labels: list[str] = []
+            if name in dataset.variables:
+                more |= {"compression": "gzip", "compression_opts": 1, "shuffle": True} if dims else {}
+                more |= {"fillvalue": float("nan")} if values.dtype.kind == "f" else {}
+                labels = [label for label, (dim, _, _) in dataset.coords.items() if label != dim and dim in dims]
+            is_text = values.dtype.kind == "U"
+            written = file.create_variable(name, dims, h5py.string_dtype() if is_text else values.dtype, **more)
+            written[...] = values.astype(object) if is_text else values
+            written.attrs.update(attributes)
+            if labels:
+                written.attrs["coordinates"] = " ".join(labels)
+    write_bytes(path, stream.getvalue())

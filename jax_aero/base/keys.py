@@ -97,8 +97,8 @@ def set_key(config: dict[str, Any], key: str, value: Any) -> None:
 def replaced(table: Any, key: str, value: Any) -> Any:
     """Return a table in which a dotted key that it has is `value`; only what holds the key is copied."""
     part, _, rest = key.partition(".")
-    copied = list(table) if isinstance(table, list) else dict(table)
-    place = int(part) if isinstance(table, list) else part
+    copied: Any = list(table) if isinstance(table, list) else dict(table)
+    place: Any = int(part) if isinstance(table, list) else part
     copied[place] = replaced(copied[place], rest, value) if rest else value
     return copied
 

@@ -103,7 +103,7 @@ def run(
             seed=dict(manifest.seeds(config)) or None,
             wall_time_s=round(time.perf_counter() - started, 3),
         )
-        dataset = record.to_dataset(
+        dataset = record.to_variables(
             flight, robot, title=document["title"], config_digest=identity.digest, backend=backend
         )
         copy = functools.partial(typed_config.copy_outside, config)

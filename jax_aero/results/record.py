@@ -9,15 +9,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from jax_aero import rust
 from jax_aero.base import documents
 from jax_aero.base.files import (
+    Variables,
     checksums,
     complete_folder,
     find_damaged,
@@ -25,6 +25,7 @@ from jax_aero.base.files import (
     write_bytes,
     write_json,
     write_netcdf,
+    write_variables,
 )
 from jax_aero.base.kinds import KINDS
 from jax_aero.base.places import MANIFEST_FILE, RUN_FILE, SWEEP_FILE
@@ -33,11 +34,23 @@ from jax_aero.base.result import FlightResult, is_repeated, labels_of
 from jax_aero.base.terminal import Refused
 from jax_aero.results.identity import ANOTHER, Identity
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 def to_dataset(
     flight: FlightResult, robot: rust.Robot, *, title: str, config_digest: str, backend: str = "rust"
 ) -> xr.Dataset:
     """Return a flight's log as a dataset with dimensions, coordinates and units."""
+    import xarray as xr
+
+    return xr.Dataset(*to_variables(flight, robot, title=title, config_digest=config_digest, backend=backend))
+
+
+def to_variables(
+    flight: FlightResult, robot: rust.Robot, *, title: str, config_digest: str, backend: str = "rust"
+) -> Variables:
+    """Return what `to_dataset` makes a dataset of."""
     variables: dict[str, Any] = {}
     values = {**flight.log, "joint_setpoint": np.asarray(flight.joint_setpoint)}
     declared = rust.signals()
@@ -70,7 +83,7 @@ def to_dataset(
         "backend": backend,
         "config_hash": config_digest,
     }
-    return xr.Dataset(variables, coords, facts)
+    return Variables(variables, coords, facts)
 
 
 def _stored(quantity: rust.Quantity, values: NDArray[np.float64]) -> tuple[NDArray[Any], dict[str, Any]]:
@@ -84,7 +97,7 @@ def _coordinates(flight: FlightResult, robot: rust.Robot) -> dict[str, Any]:
     group_of = {joint: group for group, joints in robot.joint_groups.items() for joint in joints}
     coords: dict[str, Any] = {"time": ("time", flight.log["time"], attributes_of(rust.signals()["time"]))}
     for dim, names in labels_of(robot).items():
-        coords[dim] = (dim, np.array(list(names), dtype=str))
+        coords[dim] = (dim, np.array(list(names), dtype=str), {})
     groups = np.array([group_of.get(joint, "") for joint in robot.joint_names], dtype=str)
     coords["joint_group"] = ("joint", groups, {"long_name": "sub-assembly of the joint"})
     return coords
@@ -92,7 +105,7 @@ def _coordinates(flight: FlightResult, robot: rust.Robot) -> dict[str, Any]:
 
 def write_run(
     folder: Path,
-    dataset: xr.Dataset,
+    dataset: xr.Dataset | Variables,
     manifest: Mapping[str, Any],
     *,
     replace: bool = False,
@@ -102,7 +115,10 @@ def write_run(
     """Write the folder of a result with a dataset; `texts` are additional files by name, and `more` writes others."""
 
     def write(draft: Path) -> None:
-        write_netcdf(draft / RUN_FILE, dataset)
+        if isinstance(dataset, Variables):
+            write_variables(draft / RUN_FILE, dataset)
+        else:
+            write_netcdf(draft / RUN_FILE, dataset)
         for name, text in (texts or {}).items():
             write_bytes(draft / name, text if isinstance(text, bytes) else text.encode())
         more(draft)

@@ -15,9 +15,8 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-import xarray as xr
 from msgspec import structs
 
 from jax_aero import rust
@@ -30,6 +29,9 @@ from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.results import manifest, overrides, record
 from jax_aero.results.identity import Identity
 from jax_aero.results.work import Work
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 C = TypeVar("C", bound=tables.Table)
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import zip_longest
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import pandas as pd
+from tabulate import tabulate
 
 from jax_aero import rust
 from jax_aero.base.quantities import shown
 from jax_aero.base.result import ending
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Rows: TypeAlias = Sequence[Sequence[str]]
 """Cells; the first row is the heading."""
@@ -35,7 +38,8 @@ def text_table(rows: Rows) -> str:
 def markdown_table(rows: Rows) -> str:
     """Return rows as a table of Markdown, not padded: one number that changes is one row that changes."""
     cells = [[cell.replace("|", "\\|") for cell in row] for row in rows]
-    text: str = _frame(cells).to_markdown(index=False, tablefmt="github", disable_numparse=True)
+    head, *body = cells
+    text: str = tabulate(body, head, tablefmt="github", disable_numparse=True)
     return re.sub(r"(?<= ) +|(?<=---)-+", "", text)
 
 
@@ -56,6 +60,8 @@ def latex_table(rows: Rows) -> str:
 
 
 def _frame(rows: Rows) -> pd.DataFrame:
+    import pandas as pd  # takes longer than a flight
+
     head, *body = rows
     return pd.DataFrame(body, columns=head, dtype=str)
 
@@ -84,7 +90,8 @@ INTERVAL = re.compile(rf"{NUMBER.pattern}(?: \({NUMBER.pattern} to {NUMBER.patte
 
 def _tabulate(rows: Rows, form: str) -> str:
     aligned, sides = _align(rows, " ")
-    text = _frame(aligned).to_markdown(index=False, tablefmt=form, disable_numparse=True, colalign=sides)
+    head, *body = aligned
+    text: str = tabulate(body, head, tablefmt=form, disable_numparse=True, colalign=sides)
     return "\n".join(line.rstrip() for line in text.splitlines())
 
 

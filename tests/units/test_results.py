@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from jax_aero import cli, rust
 from jax_aero.base import files, keys, places, terminal
@@ -201,8 +202,28 @@ def test_a_number_that_json_lacks_is_null_however_deep_it_stands():
 
 def test_every_file_of_a_study_counts_as_its_own(tmp_path):
     for value in ("old", "new"):
-        record.write_run(tmp_path / "a", record.xr.Dataset(), {}, replace=value == "new", texts={f"{value}.csv": value})
+        record.write_run(tmp_path / "a", xr.Dataset(), {}, replace=value == "new", texts={f"{value}.csv": value})
     assert sorted(files.checksums(tmp_path / "a")) == ["manifest.json", "new.csv", "run.nc"]
+
+
+def test_a_flight_is_written_without_xarray_as_by_it(tmp_path, make_flight):
+    """Names, values, attributes and how they are packed; and no package that takes longer to import than a flight."""
+    path = tmp_path / "run.nc"
+    made = record.to_variables(make_flight(), rust.Robot(places.ROBOT), title="made up", config_digest="abc")
+    files.write_variables(path, made)
+    files.write_netcdf(tmp_path / "other.nc", xr.Dataset(*made))
+    with xr.open_dataset(path) as found, xr.open_dataset(tmp_path / "other.nc") as expected:
+        xr.testing.assert_identical(found, expected)
+        for name in expected.variables:
+            packing = [{**of[name].encoding, "source": ""} for of in (found, expected)]
+            assert repr(packing[0]) == repr(packing[1]), name
+    words = ["fly", "test2", "--set", "simulator.duration=0.02", "--out", str(tmp_path)]
+    code = f"""import sys
+from jax_aero.cli import main
+assert main({words}) == 0
+print({{"xarray", "pandas"}} & {{*sys.modules}})"""
+    shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert shown.endswith("set()\n")
 
 
 @pytest.mark.parametrize("command", ["sweep", "fly", "figures", "air", "train", "view snapshot", "robot waypoints"])
