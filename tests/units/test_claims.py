@@ -439,8 +439,15 @@ def test_a_claim_is_refuted_by_errors_ten_times_as_large_as_the_stored_ones():
             cells = [
                 cell for cell in document.cells() if claim.covers(cell) and None not in map(cell.get, claim.at_most)
             ]
-            # A count that is zero becomes that of all flights.
-            worse = [cell | {name: 10.0 * cell[name] or cell["flights"] for name in claim.at_most} for cell in cells]
+            # A count becomes that of all flights.
+            worse = [
+                cell
+                | {
+                    name: cell["flights"] if columns.CELLS[name].type == columns.COUNT else 10.0 * cell[name]
+                    for name in claim.at_most
+                }
+                for cell in cells
+            ]
             made = results.of_cells(worse, [axis.name for axis in document.axes], claim)
             assert judge.of_sweep("s", claim).judge(made.cases).kind is Kind.DIFFERS, claim.key
 
