@@ -53,7 +53,7 @@ from jax_aero.control.state import ControllerState, EnginesState, start_engines
 from jax_aero.control.terms import Model, Terms, update_model
 from jax_aero.refusals import refuse
 from jax_aero.rust import MODES
-from jax_aero.types import Array, Setpoint, State, leaf, leaves, pytree, static
+from jax_aero.types import Array, Setpoint, State, leaf, leaves, pytree, static, where
 
 
 class Switches(NamedTuple):
@@ -327,7 +327,8 @@ def _measure(
             Reading(measurement.state, measurement.thrust),
             EstimatorModel(robot, params.aero, params.engines),
         )
-        estimating, reading, rate = estimator.update(params.estimator, known, memory.estimator, reading)
+        estimating, estimate, rate = estimator.update(params.estimator, known, memory.estimator, reading)
+        reading = where(estimator.is_possible(robot, estimate), estimate, reading)
         measurement = measurement._replace(state=reading.state, thrust=reading.thrust, thrust_rate=rate)
         memory = memory._replace(estimator=estimating)
     if memory.engines is not None:

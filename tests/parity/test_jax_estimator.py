@@ -121,3 +121,29 @@ def test_the_estimator_follows_a_command_that_is_replaced(alone):
 
 def test_latencies_are_whole_ticks_and_what_is_left():
     assert estimator.latency_in_ticks(LatencyConfig(torque=0.0125, thrust=0.0275), 0.01) == (1, (0.25, 1.75))
+
+
+@pytest.mark.parametrize(
+    ("part", "greatest"),
+    [("position", 1e6), ("speed", 300.0), ("turning", 100.0), ("joints", 100.0), ("rates", 100.0), ("thrust", 10.0)],
+)
+def test_an_estimate_that_no_robot_can_have_is_not_used(x64, part, greatest):
+    """The limits of `rust/core/src/control/measure/greatest.rs`: beyond each, what is measured is used."""
+    robot = load_robot(rust.load_config(EXPERIMENT)["robot"])
+    n = robot.n_joints
+
+    def is_used(value: float) -> bool:
+        position, velocity, joints, thrust = (
+            np.zeros(3),
+            np.zeros(6 + n),
+            np.zeros(n),
+            np.zeros(len(robot.jets.thrust_max)),
+        )
+        numbers = {"position": position, "speed": velocity[:3], "turning": velocity[3:6], "joints": joints}
+        numbers |= {"rates": velocity[6:], "thrust": thrust}
+        numbers[part][1] = -value * (robot.jets.thrust_max[1] if part == "thrust" else 1.0)
+        return bool(estimator.is_possible(robot, Reading(State(position, np.eye(3), joints, velocity), thrust)))
+
+    assert is_used(greatest)
+    assert not is_used(greatest * (1.0 + 1e-9))
+    assert not is_used(np.nan)

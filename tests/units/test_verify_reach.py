@@ -336,11 +336,12 @@ def test_changes_leave_zeros_to_themselves():
 
 
 def test_what_nothing_reaches_is_named():
-    """Limits act in random ticks and astray, the mission does not before its flight."""
+    """Limits act in random ticks and astray; these flights turn over before they are far away or the mission begins."""
     config = rust.load_config("test2", {"simulator.duration": 2.0})
     (scenario, start), samples = prepare(config), random_samples(config, 20)
     sections, _ = verify_astray(config, scenario, start)
     found = reach.unreached(reach.Compared(scenario, samples, sections))
     assert not {"controller.torque_rate_max", "controller.torque_max", "plant.robot.joint_stops"} & {*found}
-    assert not {"plant.robot.jets.thrust_max", "fall.rotation_error_deg", "fall.com_error"} & {*found}
-    assert {"controller.mission.down", "wind.ramp_end", "controller.setpoint.attitude_rate"} <= {*found}
+    assert not {"plant.robot.jets.thrust_max", "fall.rotation_error_deg"} & {*found}
+    far = {"fall.com_error", "controller.mission.down", "wind.ramp_end", "controller.setpoint.attitude_rate"}
+    assert far <= {*found}

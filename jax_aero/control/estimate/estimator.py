@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
 from jax_aero.body.dynamics import dynamics, forward_dynamics
@@ -30,6 +30,13 @@ from jax_aero.body.spatial import cross, exp_so3, log_so3, multiply, project_to_
 from jax_aero.config import EstimatorConfig, LatencyConfig
 from jax_aero.control.measurement import Reading
 from jax_aero.types import Array, State, join, leaf, pytree, static, where
+
+GREATEST = {"base": 1e6, "speed": 300.0, "angular velocity": 100.0, "joints": 100.0, "thrust": 10.0}
+"""Greatest numbers of an estimate that the controller uses, as in the crate (M102).
+
+Position of the base [m], its speed [m/s] and angular velocity [rad/s] along an axis, positions and velocities of joints
+[rad, rad/s], ratio of a thrust to the jet's greatest.
+"""
 
 
 class Order(NamedTuple):
@@ -219,6 +226,20 @@ def update(
             commanded = given_at(age).thrust_rate
             reached, rate = predict_thrust(reached, rate, commanded, step, known.robot.jets.thrust_min, known.engines)
     return EstimatorState(line, before.orders, then, before.ticks + 1), now.reading, rate
+
+
+def is_possible(robot: RobotModel, estimate: Reading) -> Bool[Array, ""]:
+    """Return whether a robot can move so; a prediction that diverges is worth less than a late measurement."""
+    state, thrust = estimate
+    bounded = {
+        "base": state.base_position,
+        "speed": state.velocity[:3],
+        "angular velocity": state.velocity[3:6],
+        "joints": jnp.concatenate([state.joint_position, state.velocity[6:]]),
+        "thrust": thrust / robot.jets.thrust_max,
+    }
+    are_within = [jnp.all(jnp.abs(numbers) <= GREATEST[name]) for name, numbers in bounded.items()]
+    return jnp.all(jnp.stack([*are_within, jnp.all(jnp.isfinite(state.base_rotation))]))
 
 
 def command(state: EstimatorState, order: Order) -> EstimatorState:
