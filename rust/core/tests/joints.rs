@@ -84,6 +84,32 @@ fn a_weak_or_free_joint_is_found_with_its_share() {
     }
 }
 
+/// Nothing is judged for two seconds after the start, and for a fifth after nothing could be compared or a joint was found.
+#[test]
+fn judgement_waits() {
+    let first = |robot: &mut Robot, joint: usize, after: usize| {
+        let mut unexplained = [0.0; 3];
+        unexplained[joint] = robot.lost(joint, 0.0);
+        let found = |robot: &mut Robot| {
+            robot.tick(&unexplained, &[0.01; 3], &[0.0; 3]);
+            robot.found()[joint] != Healthy
+        };
+        (after..1000).find(|_| found(robot)).unwrap()
+    };
+    let mut robot = Robot::new();
+    for _ in 0..150 {
+        robot.tick(&[0.0; 3], &[0.0; 3], &[0.0; 3]);
+    }
+    let ticks = first(&mut robot, 0, 150);
+    assert!((200..210).contains(&ticks), "{ticks} ticks after the start");
+    let mut robot = Robot::settled();
+    robot.state.interrupt();
+    let ticks = first(&mut robot, 0, 0);
+    assert!((20..30).contains(&ticks), "{ticks} ticks after an interruption");
+    let ticks = first(&mut robot, 1, 0);
+    assert!((20..30).contains(&ticks), "{ticks} ticks after a finding");
+}
+
 /// A joint that gets its torque back is as good as before; one that loses the rest becomes free.
 #[test]
 fn a_share_that_changes_is_revised() {

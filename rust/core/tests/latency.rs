@@ -70,9 +70,14 @@ impl Robot {
 
     /// A tick; returns whether commands are late.
     fn fly(&mut self, is_measured: bool) -> bool {
+        self.fly_after(STEP, is_measured)
+    }
+
+    /// A tick that comes this time after the last one by its clock \[s\].
+    fn fly_after(&mut self, elapsed: f64, is_measured: bool) -> bool {
         let position = is_measured.then(|| self.position.as_slice());
         let thrust = is_measured.then(|| self.thrust.as_slice());
-        self.monitor.take_in(&mut self.state, position, thrust, STEP);
+        self.monitor.take_in(&mut self.state, position, thrust, elapsed);
         let last = self.tick - 1;
         let acceleration = self.free * free(f64::from(last) + self.lead) + &self.gain * torque(last);
         let (torques, rates) = (torque(last), rate(last));
@@ -207,6 +212,21 @@ fn a_gap_changes_nothing() {
     }
     for (measured, ticks) in robot.measured().into_iter().zip([2.0, 5.0]) {
         assert_within!((measured - ticks * STEP).abs(), 2e-4, "{measured} s");
+    }
+}
+
+/// A tick that comes half a tick late is a gap, one that comes by a twentieth late is none.
+#[test]
+fn a_late_tick_is_a_gap() {
+    for (late, is_gap) in [(0.5, true), (-0.5, true), (0.05, false)] {
+        let mut robot = Robot::new([2, 5], None);
+        for _ in 0..600 {
+            robot.fly(true);
+        }
+        let before = robot.measured();
+        robot.fly_after((1.0 + late) * STEP, true);
+        robot.fly(true);
+        assert_eq!(robot.measured() == before, is_gap, "{late}");
     }
 }
 

@@ -289,19 +289,13 @@ impl Detector for LatencyMonitor {
         self.take_in(state, position, thrust, *elapsed);
     }
 
-    fn detect(
-        &mut self,
-        state: &mut LatencyState,
-        tick: &Evidence,
-        limits: &mut Limits,
-        findings: &mut Findings,
-    ) {
+    fn detect(&mut self, state: &mut LatencyState, tick: &Evidence, _: &mut Limits, findings: &mut Findings) {
         let Evidence { estimate, acting, inverse_mass, is_standing, .. } = *tick;
         let is_comparable = estimate.momentum != Sampling::Unknown
             && inverse_mass.is_known
             && !is_standing
             && !estimate.modes.contains(Modes::FEET_PREDICTED)
-            && !limits.joints.contains(&JointCondition::Stuck);
+            && !acting.joints.contains(&JointCondition::Stuck);
         let sample = LatencySample {
             acceleration: &acting.acceleration.as_slice()[6..],
             gain: &inverse_mass.joint_gain,
