@@ -36,7 +36,6 @@ COMMANDS = {
     "robot": "make a robot of a URDF, or a mission of waypoints, to fly",
     "data": "read logs of a turbine, CFD tables and wind-tunnel files, fit coefficients",
     "train": "train an aerodynamic network of CFD or of flights, several of them, or search for its settings",
-    "rename": "write the new names of keys, values and outcomes into files",
     "cfd": "compute forces of the air with OpenFOAM, verify and compare them",
 }
 """What each command does."""
@@ -74,7 +73,6 @@ NEEDS = {
     "cfd compare": "twin,sweeps",
     "cfd tunnel": "twin,sweeps",
     "cfd taps": "twin,sweeps",
-    "rename": "sweeps",
 }
 """Extras of the package that each command and sub-command needs."""
 
@@ -139,8 +137,6 @@ def function_of(command: str) -> Callable[[Sequence[str]], int | None]:
             from jax_aero.cfd import tunnel as module
         case "cfd taps":
             from jax_aero.cfd import taps as module
-        case "rename":
-            from jax_aero.commands import rename as module
         case "view" | "view video" | "view snapshot" | "export":
             from jax_aero.commands import view
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from experiments.report import blocks
 from experiments.tools import config_types, schema
-from jax_aero.base import places, renamed
+from jax_aero.base import places
 from jax_aero.base.terminal import REFUSED
 
 
@@ -32,16 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def files() -> dict[Path, str]:
     """Return the text of every generated file."""
-    return schema.files() | config_types.files() | blocks.files() | changelog()
-
-
-def changelog() -> dict[Path, str]:
-    """Return the changelog with its table of old names."""
-    path = places.HOME / "CHANGELOG.md"
-    before, begin, after = path.read_text(encoding="utf-8").partition("<!-- old names -->\n")
-    _, end, after = after.partition("<!-- end of old names -->")
-    lines = [" | ".join(row) for row in (("what", "old", "new"), ("---",) * 3, *renamed.rows())]
-    return {path: "".join([before, begin, "\n", *(f"| {line} |\n" for line in lines), "\n", end, after])}
+    return schema.files() | config_types.files() | blocks.files()
 
 
 def outdated(made: dict[Path, str]) -> list[Path]:

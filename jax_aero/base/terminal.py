@@ -12,8 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from typing import Any
 
-from jax_aero.base import renamed
-
 Progress = Callable[[int, int], None]
 """Called with (ticks flown, all ticks), or with numbers of flights for a batch, and of pictures for a video."""
 
@@ -158,7 +156,7 @@ def terminal() -> Any:
 
 def refuse(message: str) -> int:
     """Report a refusal; return its exit status."""
-    print(f"error: {message}{renamed.hint(message)}", file=sys.stderr)
+    print(f"error: {message}", file=sys.stderr)
     return REFUSED
 
 

@@ -20,10 +20,8 @@
 //!
 //! Equations M101 to M103 and M141 of `docs/model`.
 
-mod config;
 mod state;
 
-pub use config::ChannelsConfig;
 pub use state::ChannelsState;
 
 use super::greatest::{self, Jumps};
@@ -37,8 +35,18 @@ use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, is_rotation, vee_of_skew_part};
 use crate::timing::share;
 use nalgebra::{DVector, Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 use state::{Record, bound, time_is_plausible};
 use std::slice::from_mut;
+
+/// Which measurements are accepted, and what replaces the others.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ChannelsConfig {
+    /// Whether differences from the prediction beyond `Jumps::GREATEST` are refused. Without it all differences are
+    /// accepted, no value counts as frozen and no time step as wrong.
+    pub jump: bool,
+}
 
 /// Fraction of [`Jumps`] by which a value must differ from the prediction to count as frozen.
 const FROZEN_SHARE: f64 = 0.02;

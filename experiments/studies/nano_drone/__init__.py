@@ -1,1 +1,0 @@
-"""A real quadrotor's numbers from its public logs."""
