@@ -149,7 +149,7 @@ def _torch_step(net: Any, adam: Any, x: Any, y: Any) -> float:
     loss = ((net(x) - y) ** 2).sum(1).mean()
     loss.backward()
     adam.step()
-    return float(loss)
+    return float(loss.detach())
 
 
 def measure(cases: Mapping[str, tuple[float, Callable[[], Any]]], turns: int) -> dict[str, dict[str, float]]:
