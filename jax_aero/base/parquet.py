@@ -58,7 +58,14 @@ def _size_of_texts(chunk: Any) -> int:
 
 
 def read_table(path: Path, most: int | None = None) -> Any:
-    """Read a table (pyarrow) with the limits of `read_parquet`; what is refused is named."""
+    """Read a table (pyarrow) with the limits of `read_parquet`; what is refused is named.
+
+    A folder has parts of one table, in the order of their names, each within these limits.
+    """
+    import pyarrow as pa
+
+    if path.is_dir():
+        return pa.concat_tables(read_table(part, most) for part in sorted(path.glob("*.parquet")))
     try:
         return read_parquet(read_bytes(path, sizes.MAX_TABLE), most)
     except Exception as reason:  # the readers raise many types

@@ -2,7 +2,8 @@
 
 ```text
 sweep.json       sweep, identity, duration and checksums, in `results/sweeps/NAME/`
-table.parquet    every flight       cells.parquet    every cell
+table.parquet    every flight; above 10,000 a folder of parts
+cells.parquet    every cell
 ```
 """
 
@@ -46,6 +47,9 @@ PRESENTATION = ("title", "description", "drawing", "panels", "axes")
 
 LINE_INTERVAL = 15.0
 """Time between two reports of the progress if the output is not a terminal [s]."""
+
+PART_ROWS = 10_000
+"""Greatest number of flights in a file."""
 
 SWEEP_FILE, TABLES = places.SWEEP_FILE, KINDS["sweeps"].files
 
@@ -193,10 +197,21 @@ def _write(folder: Path, design: Design, document: dict[str, Any], whole: Any, f
     }
 
     def write(draft: Path) -> None:
-        for name, content in zip(TABLES, (whole, of_cells), strict=True):
-            write_bytes(draft / name, parquet(content))
+        flights, cells = TABLES
+        write_bytes(draft / cells, parquet(of_cells))
+        for name, part in _parts(flights, whole).items():
+            (draft / name).parent.mkdir(exist_ok=True)
+            write_bytes(draft / name, parquet(part))
 
     record.write_result(folder, document | {"finished": finished}, write, replace=True, named=SWEEP_FILE)
+
+
+def _parts(name: str, whole: pa.Table) -> dict[str, pa.Table]:
+    """Return the files of a table: one, or of a longer one a folder of parts, which every reader of Parquet takes."""
+    if whole.num_rows <= PART_ROWS:
+        return {name: whole}
+    firsts = range(0, whole.num_rows, PART_ROWS)
+    return {f"{name}/{first:08}.parquet": whole.slice(first, PART_ROWS) for first in firsts}
 
 
 def parquet(content: pa.Table) -> bytes:

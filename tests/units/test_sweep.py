@@ -21,10 +21,12 @@ import pytest
 
 from jax_aero import backends, rust
 from jax_aero.base import places, quantities, references
+from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import Refused
 from jax_aero.cli import main
 from jax_aero.commands import sweep as command
 from jax_aero.results import identity, outdated
+from jax_aero.results import sweep as sweep_results
 from jax_aero.sweep import aggregate, cluster, columns, keys, run, spec, table
 from jax_aero.sweep import design as designs
 from jax_aero.sweep.design import Design
@@ -827,6 +829,19 @@ def test_a_finished_sweep_takes_over_how_it_is_drawn(tmp_path):
     drawn = {"title": "new", "drawing": "levels", "panels": "scale"}
     run.run(design(repeats=1, set={"simulator.duration": 0.02}, **drawn), workers=1, out=tmp_path)
     assert json.loads((folder / "sweep.json").read_text()) == before | drawn
+
+
+def test_a_long_table_is_a_folder_of_parts_that_is_read_and_continued_as_one(tmp_path, monkeypatch):
+    whole = run.run(design(repeats=3, set={"simulator.duration": 0.02}), workers=1, out=tmp_path / "whole")
+    monkeypatch.setattr(run, "PART_ROWS", 4)
+    run.run(design(repeats=2, set={"simulator.duration": 0.02}), workers=1, out=tmp_path / "parts")
+    folder = run.run(design(repeats=3, set={"simulator.duration": 0.02}), workers=1, out=tmp_path / "parts")
+    assert len(list((folder / "table.parquet").iterdir())) == 2
+    expected = read_table(whole / "table.parquet").to_pandas()
+    assert len(expected) == 6
+    for found in (read_table(folder / "table.parquet"), pq.read_table(folder / "table.parquet")):
+        assert found.to_pandas().equals(expected)  # numbers that are missing are equal
+    assert sweep_results.read(folder).flights.equals(sweep_results.read(whole).flights)
 
 
 def test_chunks_of_other_numerics_are_not_mixed_in(tmp_path, monkeypatch, stopped_sweep):
