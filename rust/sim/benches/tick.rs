@@ -79,7 +79,7 @@ fn plan_times(config: &ScenarioConfig, from: f64) -> Result<Replays, BuildError>
     })
 }
 
-/// Replays the measurements of a flight. Each state is written just before its tick, as by a driver; read from the
+/// Replays the measurements of a flight. Each is copied just before its tick, as a driver would write it: read from the
 /// recording, which is larger than the cache, it would add 2 to 4 % to the tick.
 fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
     let end =
@@ -89,8 +89,9 @@ fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
         let mut controller = common::controller(config)?;
         let mut state = None;
         for Tick { measurement, .. } in &ticks {
-            let Some(state) = common::begin_flight(&mut controller, &mut state, measurement) else { break };
-            times.push(microseconds(|| controller.tick(state, black_box(measurement)).modes));
+            let measurement = measurement.clone();
+            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
+            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).modes));
         }
         Ok(())
     })
@@ -121,7 +122,7 @@ fn policy_times() -> Result<Replays, BuildError> {
     })
 }
 
-/// Replays the measurements of a standing robot.
+/// Replays the measurements of a standing robot, copied as in [`tick_times`].
 fn standing_tick_times() -> Result<Replays, BuildError> {
     let config = common::configuration("balancing_lateral")?;
     let ticks = common::standing_ticks()?;
@@ -129,8 +130,9 @@ fn standing_tick_times() -> Result<Replays, BuildError> {
         let mut controller = common::controller(&config)?;
         let mut state = None;
         for StandingTick { measurement, .. } in &ticks {
-            let Some(state) = common::begin_flight(&mut controller, &mut state, measurement) else { break };
-            times.push(microseconds(|| controller.tick(state, black_box(measurement)).modes));
+            let measurement = measurement.clone();
+            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
+            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).modes));
         }
         Ok(())
     })
