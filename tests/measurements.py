@@ -1,4 +1,4 @@
-"""Numbers that tests measure, their tolerances, and the summary of those that use much of their tolerance."""
+"""Numbers that tests measure, their tolerances, and on request those that use much of their tolerance."""
 
 from __future__ import annotations
 
@@ -161,18 +161,29 @@ def _worst(measurements: Iterable[Measurement]) -> list[Measurement]:
     return sorted(worst.values(), key=lambda one: -one.used)
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Write the table of figures, and the measurements that use more than a tenth of their tolerance."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let the summary be asked for: a passing run is read for what passed and what was skipped."""
+    parser.addoption(
+        "--tolerances", action="store_true", help="print figures, and measurements that use much of their tolerance"
+    )
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Write, where asked, the table of figures, and what uses more than a tenth of its tolerance; else their number."""
+    everything = _worst([*_read_rust(), *_measurements])
+    close = [one for one in everything if not one.used <= CLOSE]
+    title = f"{len(close)} of {len(everything)} measurements use more than {CLOSE:.0%} of their tolerance"
+    if not config.getoption("--tolerances", default=False):
+        if everything:
+            terminalreporter.write_line(f"{title} (listed by --tolerances)")
+        return
     if _figures:
         terminalreporter.section("figures")
     widths = [max((len(key[column]) for key in _figures), default=0) for column in (0, 1)]
     for (module, what), figure in sorted(_figures.items(), key=lambda row: row[0][0]):
         text = figure if isinstance(figure, str) else f"{figure:.1e}"
         terminalreporter.write_line(f"{module:<{widths[0]}}  {what:<{widths[1]}}  {text}")
-    everything = _worst([*_read_rust(), *_measurements])
-    close = [one for one in everything if not one.used <= CLOSE]
     if everything:
-        title = f"{len(close)} of {len(everything)} measurements use more than {CLOSE:.0%} of their tolerance"
         terminalreporter.section(title)
     for test, what, figure, tolerance, reason in close:
         used = f"{figure:.2g} of {tolerance:.2g}"
