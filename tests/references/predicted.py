@@ -7,9 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SLIP = 0.02
-"""Commanded velocity of a joint at which three quarters of the friction are compensated [rad/s]."""
-
 
 def whole(tick: Any, wrench: NDArray[np.float64], base: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the acceleration of the base of a robot that a wrench moves as one body, (6,)."""
@@ -18,13 +15,13 @@ def whole(tick: Any, wrench: NDArray[np.float64], base: NDArray[np.float64]) -> 
     return np.concatenate([wrench[:3] / mass - np.cross(turning, tick.com_position - base), turning])
 
 
-def acceleration(robot: Any, tick: Any, friction: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-    """Return ν̇ under the command of a tick in the air, (6 + n,); `friction` is that which is compensated [N m].
+def acceleration(robot: Any, tick: Any, share: NDArray[np.float64] | float = 1.0) -> NDArray[np.float64]:
+    """Return ν̇ under the command of a tick in the air, (6 + n,); of its torques a `share` acts.
 
     The law's own joint accelerations are those of its equations of motion; the base's follow from its six rows.
     """
     base, unmodelled = np.asarray(tick.estimates.state.base_position), tick.unmodelled_wrench
-    joints = tick.joint_acceleration_free + tick.torque_gain @ tick.joint_torque
+    joints = tick.joint_acceleration_free + tick.torque_gain @ (share * tick.joint_torque)
     force, moment = np.split(tick.momentum_rate_estimate - unmodelled, 2)
     force = force + np.array([0.0, 0.0, robot.mass * robot.gravity])
     acting = np.concatenate([force, moment + np.cross(tick.com_position - base, force)])

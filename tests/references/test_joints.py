@@ -1,0 +1,95 @@
+"""What the crate finds of each joint is what the reference finds, in every tick of flights with a fault of one.
+
+The controllers have no estimator, so that positions and velocities are those that the channels let pass.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jax_aero import rust
+from tests.references import joints
+from tests.references.joints import FREE, STUCK, WEAK, Joints
+
+WITHOUT = {"joints_predicted", "rotation_predicted", "velocity_predicted"}
+"""Modes of ticks without measured momentum."""
+
+MISSION = {"forward_turbo": [[2.0, 4.0]], "yaw_left": [[2.5, 4.0]]}
+
+
+def fly(changes, reference=Joints):
+    """Return whether a flight agrees in every tick, and what is found in each, (ticks, n)."""
+    detection = rust.load_config("robot")["controller"]["fault_detection"]["joints"]
+    always = {
+        "simulator.duration": 4.5,
+        "controller.channels.jump": True,
+        "controller.fault_detection.joints": detection,
+        "mission": MISSION,
+    }
+    config = rust.load_config("test2_observer", always | changes)
+    flight, last, found, time = rust.Flight(config), None, [], 0.0
+    step = config["controller"]["time_step"]
+    judge = reference(config, rust.Robot(config["robot"]), np.asarray(flight.measurement.state.joint_position))
+    while not flight.has_ended:
+        measured = flight.measurement
+        flight.step()
+        tick, dt = flight.last, measured.time - time if last is not None else step
+        lacks = WITHOUT & {*tick.degraded_modes}
+        if last is None:
+            judge.begin(tick, dt)
+        else:
+            positions = np.asarray(measured.state.joint_position)
+            judge.move(positions, are_measured="joints_predicted" not in lacks, dt=dt)
+            if lacks:
+                judge.interrupt()
+            else:
+                judge.compare(tick, last, dt)
+        judge.command(tick, step)
+        last, time = tick, measured.time
+        found.append(tick.joint_condition)
+        says = "joint_limited" in tick.degraded_modes
+        if not np.array_equal(judge.found, tick.joint_condition) or says != tick.joint_condition.any():
+            return False, np.array(found)
+    return True, np.array(found)
+
+
+def fault(joint, kind, start=2.2):
+    return {"disturbances.joints": [{"joint": joint, "kind": kind, "start": start}]}
+
+
+def outage(channel, start, duration):
+    return {"channel": channel, "kind": "missing", "start": start, "duration": duration}
+
+
+FLIGHTS = {
+    "nothing": ({}, 0),
+    "a stuck joint": (fault("torso_pitch", "stuck"), STUCK),
+    "a weak joint": (fault("torso_pitch", "weak"), WEAK),
+    "a weak arm": (fault("l_shoulder_pitch", "weak"), WEAK),
+    "a free arm": (fault("l_shoulder_pitch", "free"), FREE),
+    "a free torso": (fault("torso_yaw", "free"), FREE),
+    "a weak joint in gaps": (
+        fault("torso_pitch", "weak")
+        | {"disturbances.outages": [outage("joints", 2.25, 0.03), outage("base_rotation", 2.32, 0.02)]},
+        WEAK,
+    ),
+}
+
+
+@pytest.mark.parametrize("flight", FLIGHTS)
+def test_joints_are_what_the_reference_finds(flight):
+    changes, kind = FLIGHTS[flight]
+    agrees, found = fly(changes)
+    assert agrees
+    assert kind in found.max(axis=1)
+
+
+def test_wrong_references_are_refused(monkeypatch):
+    """Each of these numbers shows; those of displacements, and of how long m stays, do not in so few flights."""
+    told = [FLIGHTS[name][0] for name in ("a stuck joint", "a weak joint in gaps", "a free arm")]
+    wrong = {"FAST": 0.06, "SLOW": 0.8, "REACH": 2.0, "DISPLACED": 0.2, "SETTLING": 2.6, "PAUSE": 0.4}
+    for name, value in (wrong | {"FREE_SHARE": 0.0, "WHOLE_SHARE": 0.5}).items():
+        with monkeypatch.context() as patch:
+            patch.setattr(joints, name, value)
+            assert not all(fly(changes)[0] for changes in told), name
