@@ -311,7 +311,7 @@ class ModelError(Struct, frozen=True, kw_only=True):
     of_plant: bool | None = None
     thrust_axes: tuple[tuple[float, float, float], ...] = ()
 
-OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity", "height"]
+OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity", "height", "feet"]
 
 OutageKind: TypeAlias = Literal["missing", "nan", "frozen", "wrong"]
 
@@ -438,6 +438,16 @@ class SensorConfig(Struct, frozen=True, kw_only=True):
 
 
 class HeightSensorConfig(Struct, frozen=True, kw_only=True):
+class FootSensorConfig(Struct, frozen=True, kw_only=True):
+    cross_talk: float = 0.0
+    delay: float = 0.0
+    force_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    force_noise_std: float = 0.0
+    moment_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment_noise_std: float = 0.0
+    tilt_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
     bias: float = 0.0
     delay: float = 0.0
     gaps: float = 0.0
@@ -471,6 +481,7 @@ class SensorsConfig(Struct, frozen=True, kw_only=True):
     base_position: SensorConfig = SensorConfig()
     base_rotation: SensorConfig = SensorConfig()
     height: HeightSensorConfig | None = None
+    feet: FootSensorConfig | None = None
     joints: EncoderConfig = EncoderConfig()
     seed: int = 0
     thrust: ThrustSensorConfig = ThrustSensorConfig()

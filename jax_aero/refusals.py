@@ -52,6 +52,7 @@ GROUND, CHANNELS, DETECTION = "ground contact", "channels", "fault detection"
 REFUSALS = (
     Refusal("simulator.ground", GROUND, lambda config: config.simulator.ground),
     Refusal("simulator.ground_height", GROUND, lambda config: config.simulator.ground_height),
+    Refusal("simulator.sensors.feet", GROUND, lambda config: getattr(config.simulator.sensors, "feet", None)),
     Refusal("controller.contact", GROUND, lambda config: config.controller.contact, is_of_law=True),
     Refusal("controller.use_jets", GROUND, lambda config: not config.controller.use_jets, "true", is_of_law=True),
     Refusal("simulator.fuel", "fuel", lambda config: config.simulator.fuel),

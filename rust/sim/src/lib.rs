@@ -14,6 +14,7 @@ mod batch;
 pub mod config;
 pub mod disturbances;
 mod flight;
+pub mod foot_sensors;
 pub mod fuel;
 mod ground;
 pub mod jets;

@@ -7,6 +7,7 @@
 
 use crate::config::ScenarioConfig;
 use crate::disturbances::{Outage, OutageChannel, Outages, WindEstimator};
+use crate::foot_sensors::FootSensors;
 use crate::sensors::Sensors;
 use crate::wind::Wind;
 use flight_core::control::{JointMeasurement, Measurement, Preview};
@@ -23,6 +24,8 @@ pub struct Measuring {
     sensors: Option<Sensors>,
     /// Wind that the controller receives in place of the simulated one.
     controller_wind: Option<Wind>,
+    /// Sensors of the feet; `None` where they are exact.
+    foot_sensors: Option<FootSensors>,
     /// Errors of the measured wind; `None` without errors.
     wind_estimator: Option<WindEstimator>,
     outages: Outages,
@@ -69,7 +72,21 @@ impl Measuring {
             let expected = "one that is measured: simulator.sensors.height is absent";
             return Err(BuildError::bad_value(key, "height", expected));
         }
+        let of_feet = sensors.and_then(|sensors| sensors.feet.as_ref().map(|feet| (feet, sensors.seed)));
+        let is_of_feet = |outage: &Outage| outage.channel == OutageChannel::Feet;
+        let expected = "none: the controller has no feet";
+        if feet == 0 && of_feet.is_some() {
+            return Err(BuildError::bad_value("simulator.sensors.feet", "a table", expected));
+        }
+        if let Some(place) = disturbances.outages.iter().position(is_of_feet).filter(|_| feet == 0) {
+            return Err(BuildError::bad_value(
+                format!("disturbances.outages[{place}].channel"),
+                "feet",
+                expected,
+            ));
+        }
         Ok(Self {
+            foot_sensors: of_feet.map(|(config, seed)| FootSensors::new(config, seed, time_step, feet)),
             sensors: sensors.map(|sensors| Sensors::new(sensors, time_step, joints, jets)).transpose()?,
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
             controller_wind,
@@ -101,6 +118,9 @@ impl Measuring {
         if let Some(sensors) = &mut self.sensors {
             self.sample.height = state.base.position.z - self.standing;
             sensors.read(&mut self.sample);
+        }
+        if let Some(sensors) = &mut self.foot_sensors {
+            sensors.read(&mut self.sample.foot_wrenches);
         }
         self.outages.spoil(time, &mut self.sample);
         self.thrust.copy_from_slice(&self.sample.thrust);

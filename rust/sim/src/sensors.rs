@@ -7,6 +7,7 @@
 //!
 //! Equations M88 to M90 of `docs/model`.
 
+use crate::foot_sensors::FootSensorConfig;
 use crate::noise::Noise;
 use crate::wind::Wind;
 use flight_core::Measurement;
@@ -49,6 +50,9 @@ pub struct SensorsConfig {
     /// Height of the base origin above the ground on which the robot is to land; without it none is measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<HeightSensorConfig>,
+    /// Wrenches on the feet of the controller; without it they are exact.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub feet: Option<FootSensorConfig>,
     /// Time ahead \[s\] over which the controller receives the true wind of every tick, as from a lidar; zero for none.
     #[schemars(range(min = 0, max = 10))]
     pub wind_preview: f64,
@@ -168,7 +172,7 @@ pub struct ThrustSensorConfig {
 
 /// Converts a delay or a time ahead \[s\] to ticks.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 10 s
-fn age(delay: f64, time_step: f64) -> usize {
+pub(crate) fn age(delay: f64, time_step: f64) -> usize {
     (delay / time_step).round() as usize
 }
 

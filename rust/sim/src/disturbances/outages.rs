@@ -58,6 +58,8 @@ pub enum OutageChannel {
     BaseVelocity,
     /// Height above the ground.
     Height,
+    /// Wrenches on all feet.
+    Feet,
 }
 
 /// What is measured during an outage.
@@ -161,6 +163,9 @@ impl Outages {
                 OutageChannel::BaseVelocity => {
                     let before = &held.state.velocity.as_slice()[..6];
                     spoil(&mut sample.state.velocity.as_mut_slice()[..6], before);
+                }
+                OutageChannel::Feet => {
+                    spoil(sample.foot_wrenches.as_mut_slice(), held.foot_wrenches.as_slice());
                 }
                 OutageChannel::Height => spoil(from_mut(&mut sample.height), &[held.height]),
             }
