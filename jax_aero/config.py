@@ -359,6 +359,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True):
     file: str | None = None
     forward: tuple[tuple[float, float], ...] = ()
     forward_turbo: tuple[tuple[float, float], ...] = ()
+    land: tuple[tuple[float, float], ...] = ()
     pitch_up: tuple[tuple[float, float], ...] = ()
     up: tuple[tuple[float, float], ...] = ()
     yaw_left: tuple[tuple[float, float], ...] = ()
@@ -437,7 +438,6 @@ class SensorConfig(Struct, frozen=True, kw_only=True):
     period: float = 0.0
 
 
-class HeightSensorConfig(Struct, frozen=True, kw_only=True):
 class FootSensorConfig(Struct, frozen=True, kw_only=True):
     cross_talk: float = 0.0
     delay: float = 0.0
@@ -448,6 +448,7 @@ class FootSensorConfig(Struct, frozen=True, kw_only=True):
     tilt_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+class HeightSensorConfig(Struct, frozen=True, kw_only=True):
     bias: float = 0.0
     delay: float = 0.0
     gaps: float = 0.0
@@ -480,8 +481,8 @@ class SensorsConfig(Struct, frozen=True, kw_only=True):
     base_linear_velocity: SensorConfig = SensorConfig()
     base_position: SensorConfig = SensorConfig()
     base_rotation: SensorConfig = SensorConfig()
-    height: HeightSensorConfig | None = None
     feet: FootSensorConfig | None = None
+    height: HeightSensorConfig | None = None
     joints: EncoderConfig = EncoderConfig()
     seed: int = 0
     thrust: ThrustSensorConfig = ThrustSensorConfig()

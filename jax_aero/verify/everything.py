@@ -65,15 +65,16 @@ OTHERWISE: dict[str, Any] = {
 and the flight ends far from its set-point."""
 
 MISSION: dict[str, Any] = {
-    "simulator.duration": 20.0,
+    "simulator.duration": 28.0,
     "mission": {
         "forward_turbo": [[0.1, 6.0]],
         "pitch_up": [[12.0, 15.0]],
-        "up": [[16.0, 17.0]],
+        "up": [[16.0, 23.0]],
         "yaw_left": [[17.0, 18.0]],
+        "land": [[23.5, 27.5]],
     },
 }
-"""Changes with which the set-point's turbo and both of its pitch limits act."""
+"""Changes with which the set-point's turbo, both of its pitch limits and both speeds of a landing act."""
 
 STEADY = {"velocity": [3.0, -7.0, 1.0]}
 RISING = STEADY | {"ramp_start": 0.5, "ramp_end": 1.5}

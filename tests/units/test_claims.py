@@ -419,7 +419,7 @@ def test_a_claim_is_refuted_by_flights_that_are_all_lost_and_confirmed_by_those_
 ENDING = {"announced_losses", "announced_losses_pairs", "engines_lost", "mission_loss", "mission_loss_paper"}
 ENDING |= {f"descent_{way}" for way in ("accelerating", "braking", "chest", "cruise", "leaning")}
 ENDING |= {"false_alarms_robot", "false_alarms_sensors"}
-ENDING |= {"ground_1", "ground_2", "ground_5", "height_errors", "robot_take_off_weak"}
+ENDING |= {"ground_1", "ground_2", "ground_5", "height_errors", "landing_loss_arm", "robot_take_off_weak"}
 ENDING |= {"learnt_engines", "settings_most_friction", "settings_recommended"}
 ENDING |= {
     "gap_sensor",

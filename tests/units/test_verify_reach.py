@@ -206,8 +206,10 @@ def test_wrong_limits_of_set_points_are_refused(monkeypatch):
         monkeypatch.setattr(setpoint, "setpoint_params", wrong)
         assert "raw_rpy" in refused()
     monkeypatch.setattr(setpoint, "setpoint_params", right)
-    monkeypatch.setattr(setpoint, "TURBO_BOOST", 1.003 * setpoint.TURBO_BOOST)
-    assert "raw_position" in refused()
+    for name, factor in [("TURBO_BOOST", 1.003), ("LANDING_HEIGHT", 1.01), ("LANDING_SPEED", 1.003)]:
+        with monkeypatch.context() as wrong_number:
+            wrong_number.setattr(setpoint, name, factor * getattr(setpoint, name))
+            assert "raw_position" in refused(), name
 
 
 @pytest.mark.parametrize("criterion", outcome.LIMITS)

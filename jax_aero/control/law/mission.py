@@ -25,6 +25,8 @@ class AutopilotCommand(NamedTuple):
     """Rotation about the vertical, positive to the left."""
     turbo: Bool[Array, ""]
     """Whether the forward speed is boosted."""
+    lands: Bool[Array, ""]
+    """Whether the robot is to land: near the ground it descends slowly."""
 
 
 @pytree
@@ -33,6 +35,7 @@ class Commands:
 
     up: Float[Array, "_ 2"]
     down: Float[Array, "_ 2"]
+    land: Float[Array, "_ 2"]
     forward: Float[Array, "_ 2"]
     forward_turbo: Float[Array, "_ 2"]
     pitch_up: Float[Array, "_ 2"]
@@ -57,13 +60,14 @@ def autopilot_command(mission: Commands, time: Float[Array, ""]) -> AutopilotCom
     def flag(intervals: Array) -> Array:
         return is_active(intervals).astype(time.dtype)
 
-    turbo = is_active(mission.forward_turbo)
+    turbo, lands = is_active(mission.forward_turbo), is_active(mission.land)
     return AutopilotCommand(
         forward=(turbo | is_active(mission.forward)).astype(time.dtype),
-        vertical=flag(mission.up) - flag(mission.down),
+        vertical=flag(mission.up) - (is_active(mission.down) | lands).astype(time.dtype),
         nose_down=-flag(mission.pitch_up),
         yaw=flag(mission.yaw_left),
         turbo=turbo,
+        lands=lands,
     )
 
 

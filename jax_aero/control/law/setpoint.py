@@ -46,6 +46,8 @@ POSITION_SMOOTHING, ACCELERATION_SMOOTHING, ANGULAR_VELOCITY_SMOOTHING = 1.5, 0.
 """Smoothing times [s]."""
 ATTITUDE_GAIN = 1.0
 """`K` of the attitude filter [1/s]."""
+LANDING_HEIGHT, LANDING_SPEED = 2.5, 0.2
+"""Height above the ground [m] below which a landing descends slowly, and its greatest speed there [m/s]."""
 
 
 class SetpointParams(NamedTuple):
@@ -91,6 +93,8 @@ class SetpointState(NamedTuple):
     angular_velocity: FilterState
     rotation: Float[Array, "3 3"]
     """Smoothed attitude of the next tick."""
+    ground: Float[Array, ""]
+    """Height of the centre of mass at touch-down [m]: that at the start."""
 
 
 def setpoint_params(
@@ -118,7 +122,7 @@ def start(params: SetpointParams, com: Float[Array, "3"], rotation: Float[Array,
     zero = jnp.zeros_like(com)
     rest = filter_start(zero)
     raw = RawSetpoint(com, zero, _heading_rpy(params, rotation), jnp.zeros((), jnp.int32))
-    return SetpointState(raw, filter_start(com), rest, rest, rotation)
+    return SetpointState(raw, filter_start(com), rest, rest, rotation, com[2])
 
 
 def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
@@ -154,7 +158,7 @@ def update(
     """
     if isinstance(mission, Recording):
         return _follow_recording(params, mission, state, time)
-    return _smooth(params, state, _advance_raw(params, state.raw, autopilot_command(mission, time)))
+    return _smooth(params, state, _advance_raw(params, state, autopilot_command(mission, time)))
 
 
 def motion_of(setpoint: Setpoint) -> RecordedMotion:
@@ -175,6 +179,7 @@ def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion)
         acceleration=FilterState(jnp.stack([com[2], com[3], jnp.zeros_like(com[3])]), com[2]),
         angular_velocity=filter_update(params.angular_velocity_filter, state.angular_velocity, motion.angular_velocity),
         rotation=motion.rotation,
+        ground=state.ground,
     )
 
 
@@ -206,7 +211,7 @@ def _smooth(params: SetpointParams, state: SetpointState, raw: RawSetpoint) -> t
         angular_acceleration=angular.derivatives[1],
         angular_jerk=angular.derivatives[2],
     )
-    return SetpointState(raw, position, acceleration, angular, turned), setpoint
+    return SetpointState(raw, position, acceleration, angular, turned, state.ground), setpoint
 
 
 def _follow_recording(
@@ -219,13 +224,14 @@ def _follow_recording(
     return after, Setpoint(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
 
 
-def _advance_raw(params: SetpointParams, raw: RawSetpoint, command: AutopilotCommand) -> RawSetpoint:
-    """Advance one tick of the published autopilot mapping, in flight.
+def _advance_raw(params: SetpointParams, state: SetpointState, command: AutopilotCommand) -> RawSetpoint:
+    """Advance one tick of the published autopilot mapping, in flight; a landing, near the ground slow, is ours.
 
     While turbo is commanded or not yet decayed, all other motions are ignored and the nose pitches down. The published
     boost is a floating-point sum that ends at a residue above zero, so one more step is taken; the counter reproduces
     it by moving as long as boost was left *before* the tick.
     """
+    raw = state.raw
     # Half a tick rounds up.
     full = jnp.floor(TURBO_BOOST / (TURBO_RATE * params.time_step) + 0.5).astype(jnp.int32)
     in_turbo = command.turbo | (raw.turbo_ticks > 0)
@@ -240,7 +246,9 @@ def _advance_raw(params: SetpointParams, raw: RawSetpoint, command: AutopilotCom
     pitch = pitch + params.attitude_rate[0] * params.time_step * nose_down
     yaw = yaw + params.attitude_rate[1] * params.time_step * yaw_rate
     along = params.speed[0] * (1.0 + boost) * forward
-    velocity = jnp.stack([jnp.cos(yaw) * along, jnp.sin(yaw) * along, params.speed[1] * vertical])
+    is_slow = command.lands & (raw.position[2] - state.ground < LANDING_HEIGHT)
+    climb = jnp.where(is_slow, jnp.minimum(params.speed[1], LANDING_SPEED), params.speed[1]) * vertical
+    velocity = jnp.stack([jnp.cos(yaw) * along, jnp.sin(yaw) * along, climb])
     pitch = jnp.clip(pitch, params.nose_down_limits[0], params.nose_down_limits[1])
     position = raw.position + velocity * params.time_step
     return RawSetpoint(position, velocity, jnp.stack([roll, pitch, yaw]), ticks)

@@ -10,6 +10,7 @@ use crate::setpoint::distance_to_rest;
 use flight_core::control::config::Solver;
 use flight_core::control::estimate::estimator::{EstimatorConfig, FilterConfig, LatencyConfig};
 use flight_core::control::law::bounds::LimitedValues;
+use flight_core::control::law::mission::Commands;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::law::torque::limit_rate;
 use flight_core::control::limits::JointCondition;
@@ -328,6 +329,46 @@ fn the_ground_is_where_the_height_says() {
     }
 }
 
+/// The ground sinks at once, and rises by 0.5 m/s, also between heights that are measured every third tick.
+#[test]
+fn the_ground_rises_slowly_and_sinks_at_once() {
+    let config = experiment("robot");
+    let mut controller = controller(&config);
+    let first = Measurement::start(&config);
+    let mut ground = |tick: u32, height: f64| {
+        let mut sample = Measurement { time: 0.01 * f64::from(tick), height, ..first.clone() };
+        sample.state.base.position.x += 1e-6 * f64::from(tick); // no sensor that repeats itself
+        sample.tick(&mut controller);
+        let state = controller.state();
+        (state.touch_down(), state.estimate().robot.state.base.position.z - height)
+    };
+    let (start, above) = ground(0, 2.0);
+    let stance = start - above;
+    let risen = [ground(1, 1.96), ground(2, f64::NAN), ground(3, f64::NAN), ground(4, 1.9601)];
+    for ((found, _), expected) in risen.into_iter().zip([0.005, 0.005, 0.005, 0.02]) {
+        assert_within!((found - start - expected).abs(), 1e-12);
+    }
+    let (found, above) = ground(5, 2.1);
+    assert_within!((found - above - stance).abs(), 1e-12, because "it sinks to what is measured");
+    let (found, above) = (6..40).map(|tick| ground(tick, 2.05 + 1e-6 * f64::from(tick))).last().unwrap();
+    assert_within!((found - above - stance).abs(), 1e-12, because "it rises no farther than to what is measured");
+}
+
+/// A landing is slow less than 2.5 m above the ground that is measured, or else that of the start.
+#[test]
+fn a_landing_asks_for_the_measured_ground() {
+    let mut config = experiment("robot");
+    config.mission.commands = Commands { land: vec![(0.0, 9.0)], ..Commands::default() };
+    for (height, expected) in [(f64::NAN, -0.2), (2.4, -0.2), (2.6, -0.75)] {
+        let mut controller = controller(&config);
+        let first = Measurement { height, ..Measurement::start(&config) };
+        first.tick(&mut controller);
+        Measurement { time: 0.01, ..first }.tick(&mut controller);
+        let speed = controller.state().setpoint().raw().velocity.z;
+        assert_within!((speed - expected).abs(), 1e-12, "{height} m");
+    }
+}
+
 /// A robot that has to go down follows no given set-point: it descends from the last one.
 #[test]
 fn on_the_way_down_no_set_point_is_followed() {
@@ -629,12 +670,14 @@ fn a_flight_that_begins_again_plans_anew() {
 }
 
 /// Where a flight begins again the ground is that of this tick's height, for the robot upright, however it leans; without a
-/// height it is not known.
+/// height it is not known, and a landing is slow.
 #[test]
 fn a_flight_that_begins_again_keeps_its_height_and_stands_upright() {
     let config = experiment("test2_mpc");
     let lean = axis_angle(&Vector3::y(), 0.4);
     let ground = |height: f64| {
+        let mut config = config.clone();
+        config.mission.commands = Commands { land: vec![(0.0, 9.0)], ..Commands::default() };
         let mut first = Measurement::start(&config);
         first.state.base.rotation = lean * first.state.base.rotation;
         let mut controller = controller(&config);
@@ -647,11 +690,17 @@ fn a_flight_that_begins_again_keeps_its_height_and_stands_upright() {
         assert!(controller.command().modes.contains(Modes::BEGUN_AGAIN));
         let Pose { position, rotation } = controller.state().estimate().robot.state.base;
         let stance = (rotation.transpose() * (controller.terms().kinematics.com - position)).z;
-        (controller.state().touch_down(), position.z + stance)
+        let speed = controller.state().setpoint().raw().velocity.z;
+        (controller.state().touch_down(), position.z + stance, speed)
     };
-    let (found, level) = ground(1.25);
-    assert_within!((found - (level - 1.25)).abs(), 1e-12);
-    assert_eq!(ground(f64::NAN).0, f64::NEG_INFINITY);
+    for (height, landing) in [(1.25, -0.2), (5.0, -0.75)] {
+        let (found, level, speed) = ground(height);
+        assert_within!((found - (level - height)).abs(), 1e-12);
+        assert_within!((speed - landing).abs(), 1e-12, "{height} m");
+    }
+    let (found, _, speed) = ground(f64::NAN);
+    assert_eq!(found, f64::NEG_INFINITY);
+    assert_within!((speed + 0.2).abs(), 1e-12, "a ground that is not known may be near");
 }
 
 /// What is not configured is not there: a state has no part of it, and is none of a controller with it, nor the other way

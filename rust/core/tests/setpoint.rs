@@ -179,6 +179,41 @@ fn intervals_are_open() {
     assert_eq!([1.2, 1.7, 2.5].map(|time| both.command(time).vertical), [1, 0, -1]);
 }
 
+/// A landing descends like any descent, and below 2.5 m above the ground, the start's until one is measured, at 0.2 m/s; a
+/// descent does not slow down, and a vertical speed that is less stays.
+#[test]
+fn a_landing_is_slow_near_the_ground() {
+    let start = first_com();
+    let way = |name: &str, speed: f64| {
+        let mut mission = Commands { up: vec![(0.0, 5.0)], ..Commands::default() };
+        let after = if name == "land" { &mut mission.land } else { &mut mission.down };
+        after.push((5.0, 30.0));
+        let config = SetpointConfig { speed: [0.75, speed], ..config() };
+        let generator =
+            SetpointGenerator::new(&config, Mission::Commands(mission), &BACKWARDS, TIME_STEP).unwrap();
+        let mut state = generator.start(start, &Matrix3::identity());
+        let mut height = 0.0;
+        (0..1500)
+            .map(|tick| {
+                let before = height;
+                let _ = generator.update(&mut state, f64::from(tick) * TIME_STEP);
+                height = state.raw().position.z - start.z;
+                (before, (height - before) / TIME_STEP)
+            })
+            .skip(501)
+            .collect::<Vec<_>>()
+    };
+    let landing = way("land", 0.75);
+    for (height, speed) in &landing {
+        let expected = if *height < 2.5 { -0.2 } else { -0.75 };
+        assert_within!((speed - expected).abs(), 1e-12, "{height} m");
+    }
+    assert!(landing[0].0 > 3.7 && landing.last().unwrap().0 < 1.5);
+    for (name, speed) in [("down", 0.75), ("land", 0.1)] {
+        assert!(way(name, speed).iter().all(|(_, found)| (found + speed).abs() < 1e-12), "{name}");
+    }
+}
+
 /// Boost, and what is left of it, overrides every other command and lowers the nose.
 #[test]
 fn boost_overrides_other_commands() {

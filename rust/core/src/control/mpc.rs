@@ -184,12 +184,19 @@ impl PredictiveLaw {
         command: &mut Command,
     ) -> bool {
         let Self { nonlinear, air, conventions, time_step, .. } = self;
-        let ControllerState { plan, estimate, posture, ground, .. } = state;
+        let ControllerState { plan, estimate, posture, setpoint, .. } = state;
         let planner = nonlinear.as_mut().zip(plan.nonlinear.as_mut());
         let Some((planner, plan)) = planner.filter(|_| !terms.limits.holds_position) else { return false };
         let now = Present { estimate, terms };
-        let world =
-            World { robot, conventions: *conventions, air: *air, now, posture, ground: *ground, speed };
+        let world = World {
+            robot,
+            conventions: *conventions,
+            air: *air,
+            now,
+            posture,
+            ground: setpoint.ground,
+            speed,
+        };
         let Some((answer, is_new)) = planner.improve(aero, world, plan) else { return false };
         let unknowns = &terms.momentum_qp.unknowns;
         let (jets, joints) = planner.inputs.split_at(unknowns.thrust_rate.len());

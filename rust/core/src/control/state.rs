@@ -67,9 +67,8 @@ pub struct ControllerState {
     pub(super) setpoint: SetpointState,
     /// Reference posture `s_d`: the joint positions of the first tick \[rad\].
     pub(super) posture: DVector<f64>,
-    /// Height of the centre of mass at touch-down \[m\]: that at the first tick, until a height above the ground is measured;
-    /// `−∞` where neither is known, after a flight that began again.
-    pub(super) ground: f64,
+    /// By how much the ground may rise with the next height that is measured \[m\].
+    pub(super) ground_rise: f64,
     /// Height of the centre of mass above the base origin in the posture of the first tick, upright \[m\].
     pub(super) stance: f64,
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
@@ -164,7 +163,7 @@ impl ControllerState {
     /// Height of the centre of mass at touch-down \[m\]; `−∞` where it is not known.
     #[must_use]
     pub fn touch_down(&self) -> f64 {
-        self.ground
+        self.setpoint.ground
     }
 
     /// Centroidal inertia in body axes at the first tick \[kg m²\].

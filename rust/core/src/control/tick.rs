@@ -126,7 +126,7 @@ impl Controller {
             descent: Descent::default(),
             setpoint: law.generator().start(com, &robot.base.rotation),
             posture: robot.joint_position.clone(),
-            ground: com.z,
+            ground_rise: 0.0,
             stance: stance(&com, robot),
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),
@@ -388,7 +388,7 @@ fn begin_again(
     if let Some((com, inertia_0_b)) = reference(model, robot, kinematics, dynamics) {
         state.setpoint = generator.start(com, &robot.base.rotation);
         state.posture.copy_from(&robot.joint_position);
-        (state.ground, state.stance) = (f64::NEG_INFINITY, stance(&com, robot));
+        (state.setpoint.ground, state.stance) = (f64::NEG_INFINITY, stance(&com, robot));
         state.inertia_0_b = inertia_0_b;
         state.velocity_error_integral.fill(0.0);
         state.torque_is_known = false;

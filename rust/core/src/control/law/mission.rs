@@ -26,6 +26,10 @@ pub struct Commands {
     pub up: Vec<Interval>,
     /// Descend \[s\].
     pub down: Vec<Interval>,
+    /// Descend to the ground, near it slowly \[s\].
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("default" = []))]
+    pub land: Vec<Interval>,
     /// Fly forwards at normal speed \[s\].
     pub forward: Vec<Interval>,
     /// Fly forwards at increased speed, nose down \[s\].
@@ -49,6 +53,8 @@ pub struct AutopilotCommand {
     pub yaw: i8,
     /// Whether the forward speed is increased.
     pub turbo: bool,
+    /// Whether the robot is to land: near the ground it descends slowly.
+    pub lands: bool,
 }
 
 impl Commands {
@@ -69,10 +75,11 @@ impl Commands {
 
     /// All lists with their keys.
     #[must_use]
-    pub fn lists(&self) -> [(&'static str, &[Interval]); 6] {
+    pub fn lists(&self) -> [(&'static str, &[Interval]); 7] {
         [
             ("up", &self.up),
             ("down", &self.down),
+            ("land", &self.land),
             ("forward", &self.forward),
             ("forward_turbo", &self.forward_turbo),
             ("pitch_up", &self.pitch_up),
@@ -89,13 +96,14 @@ impl Commands {
         let active = |intervals: &[Interval]| {
             intervals.iter().any(|&(start, end)| time > start + MARGIN && time < end - MARGIN)
         };
-        let turbo = active(&self.forward_turbo);
+        let (turbo, lands) = (active(&self.forward_turbo), active(&self.land));
         AutopilotCommand {
             forward: i8::from(turbo || active(&self.forward)),
-            vertical: i8::from(active(&self.up)) - i8::from(active(&self.down)),
+            vertical: i8::from(active(&self.up)) - i8::from(active(&self.down) || lands),
             nose_down: -i8::from(active(&self.pitch_up)),
             yaw: i8::from(active(&self.yaw_left)),
             turbo,
+            lands,
         }
     }
 }

@@ -7,6 +7,10 @@ use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
 use nalgebra::Vector3;
 
+/// Greatest rate at which the estimated ground rises \[m/s\]; it sinks at once. A robot brakes too late over a ground that is
+/// nearer than it seems, but above one that is farther it stops, and falls.
+const RISE: f64 = 0.5;
+
 impl Controller {
     /// Updates the estimate of the robot by a measurement; returns whether the measurement has the sizes of this robot.
     pub(super) fn measure(&mut self, measurement: &Measurement, state: &mut ControllerState) -> bool {
@@ -34,11 +38,15 @@ impl Controller {
         is_usable
     }
 
-    /// Takes the ground from a height that is measured anew; after a beginning again, by its stance.
+    /// Takes the ground from a height that is measured anew; after a beginning again, by its stance (M183).
     pub(super) fn find_ground(&self, state: &mut ControllerState) {
-        let ControllerState { channels, estimate, ground, stance, .. } = state;
+        let ControllerState { channels, estimate, setpoint, stance, ground_rise, .. } = state;
+        *ground_rise += RISE * estimate.elapsed;
         if let Some(height) = self.channels.new_height(channels, estimate) {
-            *ground = estimate.robot.state.base.position.z - height + *stance;
+            let found = estimate.robot.state.base.position.z - height + *stance;
+            let is_known = setpoint.ground.is_finite();
+            setpoint.ground = if is_known { found.min(setpoint.ground + *ground_rise) } else { found };
+            *ground_rise = 0.0;
         }
     }
 }
