@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from jax_aero.body.dynamics import accelerate, add_joint_inertia
+from jax_aero.body.dynamics import accelerate
+from jax_aero.body.linalg import invert
 from jax_aero.body.robot import RobotModel
 from jax_aero.config import MotorsConfig
 from jax_aero.types import Array, InverseMass, State, leaf, pytree
@@ -133,7 +134,9 @@ class Motors:
             """Add them as they slip now; return how they slip then."""
             reaction = motors._react(of, slip)
             moved = of.force + jnp.pad(reaction.torque - reaction.slope * of.velocity, (6, 0))
-            inverse = add_joint_inertia(of.inverse_mass, of.step * reaction.slope, unless)
+            # Inverted anew whatever is added, so that nobody needs the inverse without drives.
+            inertia = of.inverse_mass.joint_inertia + jnp.diag(of.step * reaction.slope)
+            inverse = of.inverse_mass._replace(joint_inertia=inertia, joint_gain=invert(inertia, unless))
             after = reaction.velocity(of.velocity + of.step * accelerate(inverse, moved)[6:])
             found = jnp.where(jnp.abs(after) > SLIP, jnp.sign(after), 0.0)
             return Driven(inverse, moved, reaction, lax.stop_gradient(found))
@@ -142,18 +145,18 @@ class Motors:
         motors, still = lax.stop_gradient((self, given))
         first = add(motors, still, state.slip, None)
 
-        def is_open(search: tuple[Array, Array, Array]) -> Array:
-            slip, found, passes = search
-            return (passes < PASSES) & jnp.any((still.state.friction != 0.0) & (slip != found))
+        def is_open(search: _Search) -> Array:
+            is_other = (still.state.friction != 0.0) & (search.slip != search.found)
+            return (search.passes < PASSES) & jnp.any(is_other)
 
-        def go_on(search: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            _, slip, passes = search
-            return slip, add(motors, still, slip, None).slip, passes + 1
+        def go_on(search: _Search) -> _Search:
+            # In a batch also those whose search has ended come here, with the inverse that they have found.
+            after = add(motors, still, search.found, (~is_open(search), search.joint_gain))
+            return _Search(search.found, after.slip, after.inverse_mass.joint_gain, search.passes + 1)
 
-        start: tuple[Array, Array, Int[Array, ""]] = (state.slip, first.slip, jnp.array(1, jnp.int32))
-        slip, found, _ = lax.while_loop(is_open, go_on, lax.stop_gradient(start))
-        known = jnp.all(slip == state.slip), first.inverse_mass.joint_gain
-        return add(self, given, slip, known)._replace(slip=found)
+        start = _Search(state.slip, first.slip, first.inverse_mass.joint_gain, jnp.array(1, jnp.int32))
+        ended: _Search = lax.while_loop(is_open, go_on, lax.stop_gradient(start))
+        return add(self, given, ended.slip, (jnp.array(True), ended.joint_gain))._replace(slip=ended.found)
 
     def advance(self, state: MotorsState, driven: Driven, after: State, step: Float[Array, ""]) -> MotorsState:
         """Return the drives after a step to this state of the robot."""
@@ -179,6 +182,18 @@ class Motors:
         push = inertia * state.velocity + torque - friction
         gain, constant = stiff / (resistance + stiff), (push - twist) / (resistance + stiff)
         return Reaction(twist + stiff * constant, resistance * gain, constant, gain)
+
+
+class _Search(NamedTuple):
+    """The search for the motors that slip."""
+
+    slip: Array
+    """Signs for which the last pass was made."""
+    found: Array
+    """What it found."""
+    joint_gain: Array
+    """Its inverse of the joints' inertia."""
+    passes: Array
 
 
 class _Given(NamedTuple):
