@@ -230,13 +230,16 @@ def horizon(
     jets, joints = _jets(structure, engines, now), _joints(structure, gains, sigma_now)
     steps = _steps(structure, places, core, jets, joints)
     rates, commands = (_propagate_chains(chains, each) for chains, each in ((jets, steps.jets), (joints, steps.joints)))
-    z = _propagate(places, steps.core, rates, commands, wrenches)
+    motion_by = _propagate(places, steps.core, rates, commands, wrenches)
 
     position = now.state.joint_position[moved]
     com, velocity = model.kinematics.com, model.dynamics.momentum[:3] / robot.mass
     motion = target._replace(position=target.position - com[None], velocity=target.velocity - velocity[None])
-    turning = dot(_turning(places, core, joints, linear, now), z.at[:, of["wrench"], -1].set(wrenches))
-    errors = jnp.concatenate([z[:, : of["theta"].stop], turning], axis=1)
+    turn = _turning(places, core, joints, linear, now)
+    of_chains = jnp.broadcast_to(turn, (len(structure.durations), *turn.shape))
+    turning = dot(turn[:, : places.core], motion_by)
+    turning = turning + _by_chains(places, of_chains, rates.after, commands.after, wrenches)
+    errors = jnp.concatenate([motion_by[:, : of["theta"].stop], turning], axis=1)
     errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
     durations = jnp.asarray(np.array(structure.durations), errors.dtype)
     of_errors = _error_weights(weights)
@@ -258,8 +261,7 @@ def horizon(
     g = cost[:-1, -1] + jnp.concatenate([of_jets[:-1, -1].reshape(-1), of_joints[:-1, -1].reshape(-1)])
 
     distance, by_joint = distances(robot, mpc.clearance, structure.joints, now.state.joint_position)
-    s = z[:, of["s"]]
-    limited = jnp.concatenate([z[:, of["t"]], s, dot(by_joint, s)], axis=1)
+    limited = _limited(rates.after[:, 0], commands.after[:, 0], by_joint)
 
     def at_knots(thrusts: Array, joints: Array, distances: Array) -> Array:
         return jnp.tile(jnp.concatenate([thrusts, joints, distances]), len(structure.durations))
@@ -396,14 +398,7 @@ def _steps(structure: Structure, places: _Places, core: Array, jets: _Chains, jo
 
     Rows of the motion, of chains, and of inputs, which do not change, are kept apart.
     """
-    whole = [core]
-    for chains in (jets, joints):
-        eye = jnp.eye(chains.now.shape[1], dtype=core.dtype)
-        for rates in chains.rates:
-            parts = {name: rate[:, None] * eye for name, rate in zip(chains.names, rates, strict=True)}
-            whole.append(places.rows(core.dtype, **parts))
-        whole.append(jnp.zeros((eye.shape[0], places.size), core.dtype))
-    shortest, matrix = structure.durations[0], jnp.concatenate([*whole, jnp.zeros((7, places.size), core.dtype)])
+    shortest = structure.durations[0]
 
     def one(like: Array) -> Array:
         eye = jnp.eye(like.shape[0], like.shape[1], dtype=like.dtype)
@@ -411,7 +406,8 @@ def _steps(structure: Structure, places: _Places, core: Array, jets: _Chains, jo
 
     def add(sums: tuple[Any, Any], order: Array) -> tuple[tuple[Any, Any], None]:
         total, power = sums
-        moved = dot(power[0], matrix), _along(power[1], jets.rates), _along(power[2], joints.rates)
+        motion = dot(power[0][:, : places.core], core) + places.through(power[0], jets.rates, joints.rates)
+        moved = motion, _along(power[1], jets.rates), _along(power[2], joints.rates)
         power = tuple(each * (shortest / order) for each in moved)
         return (tuple(a + b for a, b in zip(total, power, strict=True)), power), None
 
@@ -455,38 +451,53 @@ def _propagate_chains(chains: _Chains, steps: Array) -> _Driven:
 
 
 def _propagate(places: _Places, steps: Array, rates: _Driven, commands: _Driven, wrenches: Array) -> Array:
-    """Return `z` at the ends of the knots (K, N, u + 1), by every unknown and without any; the motion is zero now."""
+    """Return the motion at the ends of the knots (K, 12, u + 1), by every unknown and without any; it is zero now."""
     # Within a knot the mean of both ends: it needs no wind but that of the ends, where ω, a and α do.
     means = 0.5 * (wrenches + jnp.concatenate([jnp.zeros_like(wrenches[:1]), wrenches[:-1]]))
-    before, after = (_spread(*each, means) for each in zip(rates, commands, strict=True))
-    added = dot(steps[:, :, places.core :], before)
+    added = _by_chains(places, steps, rates.before, commands.before, means)
 
     def advance(motion: Array, knot: tuple[Array, Array]) -> tuple[Array, Array]:
         step, more = knot
         motion = dot(step[:, : places.core], motion) + more
         return motion, motion
 
-    motion = lax.scan(advance, jnp.zeros_like(added[0]), (steps, added))[1]
-    return jnp.concatenate([motion, after], axis=1)
+    propagated: Array = lax.scan(advance, jnp.zeros_like(added[0]), (steps, added))[1]
+    return propagated
 
 
-def _spread(jets: Array, joints: Array, wrenches: Array) -> Array:
-    """Return chains and what is not chosen as rows by all unknowns, of thrusts first: (K, N − 12, u + 1)."""
-    knots = jets.shape[0]
+def _by_chains(places: _Places, rows: Array, jets: Array, joints: Array, wrenches: Array) -> Array:
+    """Return products of rows over `z` (K, a, N) with all of it but the motion, by all unknowns and without any.
 
-    def by_all(chains: Array) -> tuple[Array, Array]:
-        _, states, size, inputs = chains.shape
-        eye = jnp.eye(size, dtype=chains.dtype)
-        own = chains[..., :-1, None] * eye[None, None, :, None]
-        return own.reshape(knots, states * size, (inputs - 1) * size), chains[..., -1].reshape(knots, -1, 1)
+    (K, a, u + 1), of thrusts first. An unknown drives one chain, so `z` itself would be full of zeros.
+    """
 
-    (by_jets, of_jets), (by_joints, of_joints) = by_all(jets), by_all(joints)
-    one = jnp.ones((knots, 1, 1), wrenches.dtype)
-    free = jnp.concatenate([of_jets, of_joints, wrenches[..., None], one], axis=1)
-    rows = jnp.zeros((knots, free.shape[1], by_jets.shape[2] + by_joints.shape[2]), free.dtype)
-    rows = rows.at[:, : by_jets.shape[1], : by_jets.shape[2]].set(by_jets)
-    rows = rows.at[:, by_jets.shape[1] : -7, by_jets.shape[2] :].set(by_joints)
-    return jnp.concatenate([rows, free], axis=2)
+    def along(place: slice, chains: Array) -> tuple[Array, Array]:
+        parts = rows[:, :, place].reshape(*rows.shape[:2], *chains.shape[1:3])
+        by = jnp.einsum("kadg,kdgi->kaig", parts, chains, precision="highest")
+        return by[:, :, :-1].reshape(*rows.shape[:2], -1), by[:, :, -1].sum(-1)
+
+    (by_jets, of_jets), (by_joints, of_joints) = along(places.jets, jets), along(places.joints, joints)
+    of_air = jnp.einsum("kaw,kw->ka", rows[:, :, places.of["wrench"]], wrenches, precision="highest")
+    free = of_jets + of_joints + of_air + rows[:, :, -1]
+    return jnp.concatenate([by_jets, by_joints, free[:, :, None]], axis=2)
+
+
+def _limited(thrusts: Array, joints: Array, by_joint: Array) -> Array:
+    """Return limited values (K, m, u + 1) from what their own inputs do to thrusts and joints (K, g, i + 1)."""
+    knots = thrusts.shape[0]
+
+    def of_each(of: Array, own: Array) -> tuple[Array, Array]:
+        """Return values by inputs of all, and without any; a row says what of each is in a value."""
+        by = of[None, :, None] * jnp.swapaxes(own, 1, 2)[:, None]
+        return by[:, :, :-1].reshape(knots, of.shape[0], -1), by[:, :, -1].sum(-1)
+
+    each_jet, each_joint = (jnp.eye(own.shape[1], dtype=own.dtype) for own in (thrusts, joints))
+    by_rates, thrust = of_each(each_jet, thrusts)
+    by_commands, rest = of_each(jnp.concatenate([each_joint, by_joint]), joints)
+    others = jnp.zeros((knots, by_rates.shape[1], by_commands.shape[2]), thrusts.dtype)
+    jets = jnp.concatenate([by_rates, others, thrust[:, :, None]], axis=2)
+    others = jnp.zeros((knots, by_commands.shape[1], by_rates.shape[2]), thrusts.dtype)
+    return jnp.concatenate([jets, jnp.concatenate([others, by_commands, rest[:, :, None]], axis=2)], axis=1)
 
 
 def _error_weights(weights: MpcWeights) -> Array:
