@@ -132,9 +132,10 @@ def import_robot(
     joints = tree.moving(held)
     notes = masses.require(tree, joints)
     boxes = shapes.boxes(listing, urdf.parent, skip_meshes=skip_meshes)
+    spinning = tree.spinning(jets, held)
     for warning in (
         *notes,
-        *tree.spinning(jets, held),
+        *spinning,
         *skeleton.guessed(joints),
         *posture_doubts(joints, posture_deg),
         *masses.doubts(tree, boxes),
@@ -162,7 +163,9 @@ def import_robot(
                 fly_mission=fly_mission,
             )
         except ValueError as reason:  # of a file that will not be there
-            raise Refused(str(reason).replace(f"{path}: ", "").replace(f"{draft}{os.sep}", "")) from reason
+            shown = str(reason).replace(f"{path}: ", "").replace(f"{draft}{os.sep}", "")
+            # Rotors that spin make numbers of the controller absurd: what helps is no other number.
+            raise Refused("; ".join([shown, *spinning])) from reason
     if result.growth is not None and not result.growth.stays:
         warnings.warn(f"the controller's copy {result.growth}: Controllers, a controller and its copy", stacklevel=2)
     return dataclasses.replace(result, folder=folder, unused=listing.unused)

@@ -722,6 +722,22 @@ def test_rotors_that_spin_are_to_be_held(kind, limit, axis, is_named, tmp_path):
     assert tree.spinning(jets, ["spin_1", "spin_2"]) == []
 
 
+def test_a_refusal_of_a_robot_whose_rotors_spin_says_what_helps(tmp_path):
+    """Of a quadrotor: its rotors' moments are so small that a weight of the controller has no range for them."""
+    hub = '<inertial><mass value="0.01"/><inertia ixx="1e-5" iyy="1e-5" izz="2e-5" ixy="0" ixz="0" iyz="0"/></inertial>'
+    body, parts = hub.replace("0.01", "1.0").replace("e-5", "e-2"), ""
+    for k, place in enumerate(("0.2 0.2", "-0.2 0.2", "-0.2 -0.2", "0.2 -0.2")):
+        ends = f'<parent link="body"/><child link="rotor_{k}"/><origin xyz="{place} 0.05"/><axis xyz="0 0 1"/>'
+        parts += f'<link name="rotor_{k}">{hub}</link><joint name="spin_{k}" type="continuous">{ends}</joint>'
+    box = '<visual><geometry><box size="0.3 0.3 0.1"/></geometry></visual>'
+    urdf = tmp_path / "quad.urdf"
+    urdf.write_text(f'<robot name="quad"><link name="body">{body}{box}</link>{parts}</robot>')
+    jets = [command.thruster(f"rotor_{k}:z:8:{moment}") for k, moment in enumerate(("0.02", "-0.02") * 2)]
+    held = "angular_momentum.* --hold spin_0 --hold spin_1 --hold spin_2 --hold spin_3"
+    with pytest.warns(UserWarning, match="as rotors spin"), pytest.raises(Refused, match=held):
+        command.import_robot(urdf, tmp_path / "quad", jets=jets)
+
+
 @pytest.mark.parametrize("moment", [0.0, 0.2, -0.2])
 def test_gimbals_hold_the_reaction_torques_of_rotors(tmp_path, moment, measured):
     """Four rotors that all turn the same way would turn the robot; tilted along the sides of its square they do not."""
