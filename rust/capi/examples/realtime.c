@@ -240,7 +240,11 @@ int main(int argc, char **argv) {
     }
     const pid_t child = fork();
     if (child == 0) {
-        return serve(ends[0], controller, most);
+        const int status = serve(ends[0], controller, most);
+        flight_robot_free(robots[0]);
+        flight_robot_free(robots[1]);
+        flight_controller_free(controller);
+        return status;
     }
     int locked, fifo;
     take_priority(&locked, &fifo);

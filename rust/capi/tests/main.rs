@@ -525,11 +525,18 @@ fn run(command: &mut Command) -> String {
 
 /// Compiles an example against the library that this test was built with, and runs it.
 fn run_example(compiler: &str, source: &str, arguments: &[&str]) -> Output {
+    run_example_with(&[], compiler, source, arguments)
+}
+
+/// As [`run_example`], with `flags` of the compiler besides.
+fn run_example_with(flags: &[&str], compiler: &str, source: &str, arguments: &[&str]) -> Output {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("program");
     let libraries = library_folder();
     run(Command::new(compiler)
-        .args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
+        .args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"])
+        .args(flags)
+        .arg("-I")
         .arg(Path::new(HERE).join("include"))
         .arg(Path::new(HERE).join("examples").join(source))
         .arg("-o")
@@ -719,6 +726,60 @@ fn the_example_in_cpp_gives_the_command_of_the_crate() {
         &Given { setpoint: Some(&setpoint), ..Given::default() },
     );
     assert_eq!(numbers(&text)[0..], *command.thrust_rate.as_slice(), "{text}");
+}
+
+const SANITIZERS: [&str; 4] =
+    ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"];
+
+/// Whether this machine's compiler has the sanitizers.
+fn has_sanitizers() -> bool {
+    let folder = tempfile::tempdir().unwrap();
+    let source = folder.path().join("empty.c");
+    std::fs::write(&source, "int main(void) { return 0; }\n").unwrap();
+    let program = folder.path().join("empty");
+    let built = Command::new("cc").args(SANITIZERS).arg(&source).arg("-o").arg(&program).output();
+    built.is_ok_and(|output| output.status.success())
+        && Command::new(&program).status().is_ok_and(|status| status.success())
+}
+
+/// No access beyond what is theirs, no undefined behaviour, and all memory is given back, of refused files too.
+#[test]
+fn the_examples_are_clean_under_sanitizers() {
+    if !has_sanitizers() {
+        eprintln!("not run: `cc` has no sanitizers here");
+        return;
+    }
+    let path = config("test2");
+    let path = path.to_str().unwrap();
+    for (compiler, source, arguments) in [
+        ("cc", "loop.c", &[path, "20"][..]),
+        ("cc", "realtime.c", &[path, "5", "0"]),
+        ("c++", "hover.cpp", &[path]),
+    ] {
+        for (arguments, code) in [(arguments, 0), (&["no/such.toml"], 1)] {
+            let ran = run_example_with(&SANITIZERS, compiler, source, arguments);
+            let said = String::from_utf8_lossy(&ran.stderr);
+            assert!(ran.status.code() == Some(code) && !said.contains("Sanitizer"), "{source}: {said}");
+        }
+    }
+    let leak = "#include \"flight.h\"\nint main(int argc, char **argv) { char m[400]; (void)argc;\n\
+                return flight_controller_create(flight_header(), argv[1], m, sizeof m) == 0; }\n";
+    let folder = tempfile::tempdir().unwrap();
+    let source = folder.path().join("leak.c");
+    std::fs::write(&source, leak).unwrap();
+    let ran = run_example_with(&SANITIZERS, "cc", source.to_str().unwrap(), &[path]);
+    assert!(!ran.status.success(), "a controller that is not freed goes unnoticed");
+}
+
+#[test]
+fn the_example_in_cpp_needs_no_exceptions() {
+    let path = config("test2");
+    for (path, code) in [(path.to_str().unwrap(), 0), ("no/such.toml", 1)] {
+        let ran = run_example_with(&["-fno-exceptions", "-fno-rtti"], "c++", "hover.cpp", &[path]);
+        let said = String::from_utf8_lossy(&ran.stderr);
+        assert_eq!(ran.status.code(), Some(code), "{said}");
+        assert_eq!(said.contains("no/such.toml"), code == 1, "{said}");
+    }
 }
 
 /// A thread that flushes subnormal numbers, or rounds in another way, cannot begin a flight.
