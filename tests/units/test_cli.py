@@ -244,8 +244,14 @@ def test_a_base_that_is_no_text_is_refused_by_its_key(tmp_path):
     own = tmp_path / "own.toml"
     for value, key in (('base = ["a"]', "base"), ("base = 1", "base"), ('[wind]\nbase = ["a"]', r"wind\.base")):
         own.write_text(f"{value}\n" if value.startswith("base") else f'base = "test2"\n{value}\n')
-        with pytest.raises(ValueError, match=rf"^`{key}` is .*; expected the path of a TOML file$"):
+        with pytest.raises(ValueError, match=rf"own\.toml: `{key}` is .*; expected the path of a TOML file$"):
             rust.load_config(own)
+    outer = tmp_path / "outer.toml"
+    outer.write_text('base = "own"\n')
+    own.write_text('base = ["a"]\n')
+    with pytest.raises(ValueError, match=r"own\.toml: `base` is") as refused:
+        rust.load_config(outer)
+    assert "outer" not in str(refused.value)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])

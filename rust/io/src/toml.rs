@@ -349,7 +349,12 @@ impl Reader<'_> {
             ));
         }
         let table = parse(&read_text(path)?, &origin)?;
-        self.resolve_table(table, node, key, path.parent().unwrap_or(Path::new(".")), depth)
+        let resolved = self.resolve_table(table, node, key, path.parent().unwrap_or(Path::new(".")), depth);
+        resolved.map_err(|error| match error {
+            // That of a base file names it already.
+            BuildError::BadEntry { .. } => error.in_file(origin),
+            _ => error,
+        })
     }
 
     fn resolve_value(
