@@ -155,19 +155,37 @@ def _minimise(qp: BoxQp, start: WarmStart) -> QpAnswer:
 def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     (qp, start), (d_qp, _) = primals, tangents
     answer = _minimise(qp, start)
-    x, side, kkt, status, iterations = answer
+    none: Any = partial(np.zeros, dtype=jax.dtypes.float0)
+    side, status, iterations = (none(code.shape) for code in (answer.side, answer.status, answer.iterations))
+    return answer, QpAnswer(_derivative(qp, answer, d_qp), side, jnp.zeros_like(answer.kkt), status, iterations)
+
+
+@jax.custom_jvp
+def minimiser(qp: BoxQp, answer: QpAnswer) -> Float[Array, " u"]:  # noqa: ARG001
+    """Return the minimiser of an answer to `qp` that was found without derivatives, with those of `solve`."""
+    return answer.x
+
+
+@minimiser.defjvp
+def _minimiser_jvp(primals, tangents):  # type: ignore[no-untyped-def]
+    qp, answer = primals
+    return minimiser(qp, answer), _derivative(qp, answer, tangents[0])
+
+
+def _derivative(qp: BoxQp, answer: QpAnswer, d_qp: BoxQp) -> Array:
+    """Return the change of the minimiser with the data, as `solve` states it."""
+    x, is_solved = answer.x, answer.status == SOLVED
     pressed_up = dot(qp.h, x) + qp.g < 0
     at_upper = jnp.where(qp.lower == qp.upper, pressed_up, x >= qp.upper)
-    free = (x > qp.lower) & (x < qp.upper) & (status == SOLVED)
-    d_bound = jnp.where(status == SOLVED, jnp.where(at_upper, d_qp.upper, d_qp.lower), 0.0)
+    free = (x > qp.lower) & (x < qp.upper) & is_solved
+    d_bound = jnp.where(is_solved, jnp.where(at_upper, d_qp.upper, d_qp.lower), 0.0)
     d_held = jnp.where(free, 0.0, d_bound)
     right = jnp.where(free, -(d_qp.g + dot(d_qp.h, x) + dot(qp.h, d_held)), 0.0)
     # Scaling by the diagonal makes the factor as accurate as that of the solution.
     scale = jnp.where(free, lax.rsqrt(jnp.where(free, jnp.diagonal(qp.h), 1.0)), 1.0)
     reduced = _mask_hessian(qp.h * scale[:, None] * scale[None], free)
-    d_x = d_held + scale * solve_positive_definite(reduced, (scale * right)[:, None])[:, 0]
-    none: Any = partial(np.zeros, dtype=jax.dtypes.float0)
-    return answer, QpAnswer(d_x, none(side.shape), jnp.zeros_like(kkt), none(status.shape), none(iterations.shape))
+    d_x: Array = d_held + scale * solve_positive_definite(reduced, (scale * right)[:, None])[:, 0]
+    return d_x
 
 
 # --- scaling to a diagonal near one -------------------------------------------------------------------------------

@@ -151,3 +151,22 @@ def test_second_derivative():
 
     curvature = jax.jit(jax.jacfwd(jax.jacfwd(x)))(1.0)
     np.testing.assert_allclose(curvature, 2.0 * np.linalg.solve(free.h, -free.g), rtol=1e-12)
+
+
+def test_an_answer_that_was_found_before_has_the_same_derivative(case):
+    """Both modes; without derivatives it is the answer as it is."""
+    problem, towards, cotangent = case
+
+    @jax.jit
+    @jax.vmap
+    def evaluate(problem, towards, cotangent):
+        answer = jax.lax.stop_gradient(qp.solve(BoxQp(*problem)))
+        found = []
+        for function in (minimiser, lambda problem: qp.minimiser(BoxQp(*problem), answer)):
+            x, forward = jax.jvp(function, (problem,), (towards,))
+            found.append((x, forward, jax.vjp(function, problem)[1](cotangent)[0]))
+        return found
+
+    solved, given = evaluate(problem, towards, cotangent)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-12 * np.abs(a).max()), solved, given)
+    assert np.any(np.asarray(given[1]) != 0.0)

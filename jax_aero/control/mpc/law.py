@@ -125,7 +125,7 @@ class PredictiveLaw:
         bounds = self._bounds(prepared.shaping.problem, ahead)
         search = _find_beyond(*jax.tree.map(lax.stop_gradient, (ahead, bounds, last)))
         # Differentiated once, with the values beyond their limits that have been found.
-        x = qp.solve(ahead.problem(search.beyond, *bounds), search.answer.warm_start).x
+        x = qp.minimiser(ahead.problem(search.beyond, *bounds), search.answer)
         is_unending = (search.answer.status == qp.SOLVED) & ~search.is_found
         status = jnp.where(is_unending, qp.ITERATION_LIMIT, search.answer.status)
         answer = search.answer._replace(status=status, iterations=search.factorisations)
