@@ -44,7 +44,7 @@ class Commands:
 
 def commands(mission: MissionConfig) -> Commands:
     """Return the commands of a configured mission."""
-    lists = {item.name: leaf(getattr(mission, item.name)) for item in fields(Commands)}
+    lists = {item.name: leaf(getattr(mission, item.name) or ()) for item in fields(Commands)}
     return Commands(**{name: intervals.reshape(-1, 2) for name, intervals in lists.items()})
 
 

@@ -28,7 +28,6 @@ pub struct Commands {
     pub down: Vec<Interval>,
     /// Descend to the ground, near it slowly \[s\].
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[schemars(extend("default" = []))]
     pub land: Vec<Interval>,
     /// Fly forwards at normal speed \[s\].
     pub forward: Vec<Interval>,
