@@ -359,7 +359,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True):
     file: str | None = None
     forward: tuple[tuple[float, float], ...] = ()
     forward_turbo: tuple[tuple[float, float], ...] = ()
-    land: tuple[tuple[float, float], ...] = None
+    land: tuple[tuple[float, float], ...] | None = None
     pitch_up: tuple[tuple[float, float], ...] = ()
     up: tuple[tuple[float, float], ...] = ()
     yaw_left: tuple[tuple[float, float], ...] = ()

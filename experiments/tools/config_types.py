@@ -85,9 +85,12 @@ def _table(name: str, node: Node, tables: Mapping[str, Node], tag: str = "") -> 
 
 def _field(key: str, node: Node, is_required: bool, tables: Mapping[str, Node]) -> str:
     default = "" if is_required else _value(node, node.get("default"), tables)
+    kind = _type(node)
+    if default == "None" and "None" not in kind:  # an empty list that is not written
+        kind += " | None"
     if key == "lambda":  # a word of Python
-        return f'    lambda_: {_type(node)} = field(name="lambda"{default and f", default={default}"})\n'
-    return f"    {key}: {_type(node)}{default and f' = {default}'}\n"
+        return f'    lambda_: {kind} = field(name="lambda"{default and f", default={default}"})\n'
+    return f"    {key}: {kind}{default and f' = {default}'}\n"
 
 
 def _type(node: Node) -> str:
