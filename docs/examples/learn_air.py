@@ -10,7 +10,7 @@ logs = []
 for seed, velocity in enumerate([[-9.0, 2.0, 0.0], [3.0, 8.0, 0.0], [2.0, -8.0, 0.0]]):
     blowing = wind | {"velocity": velocity, "seed": seed}
     config = rust.load_config("test1_observer", {"wind": blowing, "mission": {}, "simulator.duration": 20.0})
-    log = rust.fly(config).log  # no aerodynamic model: the observer sees the whole wrench
+    log = rust.fly(config).log  # no aerodynamic model: the observer estimates the whole wrench
     logs.append(flights.flight_of(f"log {seed}", log, config, load_robot(config["robot"])))
 
 few = {"network.hidden": [8], "training.epochs": 30, "held_out": 0.4}  # a minute of flight, one of them judges

@@ -48,6 +48,9 @@ PRESENTATION = ("title", "description", "drawing", "panels", "axes")
 LINE_INTERVAL = 15.0
 """Time between two reports of the progress if the output is not a terminal [s]."""
 
+COUNT_INTERVAL = 0.15
+"""Time between two looks at how many flights have ended [s]."""
+
 PART_ROWS = 10_000
 """Greatest number of flights in a file."""
 
@@ -86,7 +89,7 @@ def _fly_here(
             running = deque((chunk, pool.submit(fly, chunk)) for chunk in islice(waiting, backend.together))
             while running:
                 chunk, answer = running.popleft()
-                while not wait([answer], timeout=LINE_INTERVAL / 100).done:
+                while not wait([answer], timeout=COUNT_INTERVAL).done:
                     progress(sum(flown.values()), design.n_rows)
                 flown.pop(chunk, None)
                 running.extend((after, pool.submit(fly, after)) for after in islice(waiting, 1))

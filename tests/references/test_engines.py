@@ -172,15 +172,15 @@ def of_three_ticks(*given):
 def test_wrong_references_are_refused(monkeypatch):
     """Each number shows in one of these flights; so it would in the crate."""
     names = ("a stop", "a stop with its sensor", "a dead sensor without momentum", "a push on an arm without sensors")
-    told = [FLIGHTS[name][0] for name in (*names, "a stop without momentum", "a sensor that says less")]
-    assert any(fly(changes, of_three_ticks)[0] for changes in told)
+    faulty = [FLIGHTS[name][0] for name in (*names, "a stop without momentum", "a sensor that says less")]
+    assert any(fly(changes, of_three_ticks)[0] for changes in faulty)
     wrong = {"FORGETTING": 0.6, "RESIDUAL": 0.03, "UNMODELLED": 1.1, "OUTSIDE": 0.04, "UNSEEN": 0.17}
     wrong |= {"SHOWN": 0.04, "NOT_SHOWN": 0.12, "SILENT": 0.2, "MISSING": 0.04, "HELD": 0.1, "OF_THRUST": 2.0}
     wrong |= {"OF_MISSING": 1.2, "LEAST_COSINE": 0.9999}
     for name, value in wrong.items():
         with monkeypatch.context() as patch:
             patch.setattr(engines, name, value)
-            assert any(fly(changes)[0] for changes in told), name
+            assert any(fly(changes)[0] for changes in faulty), name
 
 
 # --- properties ---------------------------------------------------------------------------------------------------

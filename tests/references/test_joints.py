@@ -87,9 +87,9 @@ def test_joints_are_what_the_reference_finds(flight):
 
 def test_wrong_references_are_refused(monkeypatch):
     """Each of these numbers shows; those of displacements, and of how long m stays, do not in so few flights."""
-    told = [FLIGHTS[name][0] for name in ("a stuck joint", "a weak joint in gaps", "a free arm")]
+    faulty = [FLIGHTS[name][0] for name in ("a stuck joint", "a weak joint in gaps", "a free arm")]
     wrong = {"FAST": 0.06, "SLOW": 0.8, "REACH": 2.0, "DISPLACED": 0.2, "SETTLING": 2.6, "PAUSE": 0.4}
     for name, value in (wrong | {"FREE_SHARE": 0.0, "WHOLE_SHARE": 0.5}).items():
         with monkeypatch.context() as patch:
             patch.setattr(joints, name, value)
-            assert not all(fly(changes)[0] for changes in told), name
+            assert not all(fly(changes)[0] for changes in faulty), name

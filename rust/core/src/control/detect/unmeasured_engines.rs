@@ -85,7 +85,7 @@ impl UnmeasuredEnginesConfig {
                     let key = "controller.fault_detection.unmeasured_engines";
                     let expected = format!(
                         "none for this robot: `{jet}` explains {share:.2} of the wrench of `{with}`, and one that \
-                         has stopped is told from others by a share of {EXPLAINED}"
+                         has stopped is distinguished from others by a share of {EXPLAINED}"
                     );
                     return Err(BuildError::bad_value(key, "given", expected));
                 }

@@ -36,7 +36,7 @@ const ANGULAR_VELOCITY_SMOOTHING: f64 = 0.05;
 const ATTITUDE_GAIN: f64 = 1.0;
 
 /// Height above the ground \[m\] below which a landing descends slowly, and its greatest speed there \[m/s\]: from higher speeds
-/// an arm engine's loss is not landed. A set-point at 0.75 m/s is 0.6 m ahead. Source: ours, the study `landing_speed`.
+/// an arm engine's loss is not landed. A set-point at 0.75 m/s is 0.6 m ahead. Source: ours, the sweep `robot_landing_loss`.
 const LANDING_HEIGHT: f64 = 2.5;
 const LANDING_SPEED: f64 = 0.2;
 
