@@ -32,6 +32,7 @@ from jax_aero.sweep import design as designs
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
 from jax_aero.sweep.perturbation import PARTS, Perturbation, members, perturbed
+from tests.cluster_task import KILLED_JOB, attempt
 
 ENSEMBLE = places.CONFIGS / "aero" / "networks" / "ensemble" / "ensemble.json"
 
@@ -895,6 +896,35 @@ def test_a_sweep_that_cannot_fly_overwrites_nothing(tmp_path, monkeypatch, chang
     assert read(folder) == before
 
 
+KILLED = """
+import os, signal, sys
+from jax_aero.cli import main
+from jax_aero.results.work import Work
+
+write, written = Work.write, []
+
+def write_and_be_killed(work, job, answer):
+    write(work, job, answer)
+    written.append(job)
+    if len(written) == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+Work.write = write_and_be_killed
+main(sys.argv[1:])
+"""
+"""A command that is killed after it has kept its second chunk."""
+
+
+def test_a_sweep_that_was_killed_goes_on_with_the_third_chunk_and_has_the_same_bytes(flown, tmp_path, capsys):
+    words = ["sweep", str(quick_sweep(tmp_path)), "--out", str(tmp_path), "--workers", "2"]
+    died = subprocess.run([sys.executable, "-c", KILLED, *words], cwd=places.HOME, capture_output=True, check=False)
+    assert died.returncode == -signal.SIGKILL, died.stderr
+    assert not (tmp_path / "quick").exists()
+    assert main(words) == 0
+    assert "8 of 12 flights are there already" in capsys.readouterr().err
+    assert read(tmp_path / "quick") == read(flown)
+
+
 LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000")
 """127.0.0.1, also as an address of IPv6, and ::1, in words of 32 bits as the kernel writes them."""
 
@@ -952,3 +982,13 @@ def test_a_ray_cluster_gives_the_same_bytes_also_where_a_worker_is_killed(tmp_pa
     assert not ray.is_initialized()
     assert main([*command, str(tmp_path / "here"), "--workers", "1"]) == 0
     assert read(tmp_path / "quick") == read(tmp_path / "here" / "quick")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_of_a_worker_that_is_killed_its_one_job_is_done_again(tmp_path):
+    pytest.importorskip("ray", reason="ray is not installed: make setup")
+    answers = dict(cluster.Ray(workers=2).spread(attempt, tmp_path, {job: job for job in range(12)}))
+    assert answers == {job: job * job for job in range(12)}
+    attempts = {int(path.name): path.read_text().splitlines() for path in tmp_path.iterdir()}
+    assert {job: len(pids) for job, pids in attempts.items()} == dict.fromkeys(range(12), 1) | {KILLED_JOB: 2}
+    assert len(set(attempts[KILLED_JOB])) == 2
