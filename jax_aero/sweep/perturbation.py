@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence, Set
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jax_aero.base import documents, keys, tables
 from jax_aero.base.files import read_json
@@ -51,6 +52,9 @@ STREAMS = (
     "friction",
 )
 """Kinds of draws; the index is the number of the random stream, so new kinds are appended at the end."""
+
+KEPT_DRAWS = 256
+"""Draws that are kept for the next cells of a repeat."""
 
 PARTS = {
     "start": ("joint_position", "base_rpy_deg", "base_velocity", "thrust"),
@@ -115,16 +119,12 @@ class Perturbation(tables.Table, frozen=True):
     ) -> None:
         """Perturb a configuration of this robot in place, but for the `chosen` keys of seeds."""
 
-        # Each kind has a stream of its own: a perturbation that is switched on leaves the others as they were.
-        def stream(kind: str) -> np.random.Generator:
-            return np.random.default_rng([seed, repeat, STREAMS.index(kind)])
-
         def draw_around(name: str, values: Sequence[float]) -> list[float]:
             width = getattr(self, name)
             if not width:
                 return [float(value) for value in values]
-            offsets = stream(name).uniform(-1.0, 1.0, len(values)) * width
-            return [float(value + offset) for value, offset in zip(values, offsets, strict=True)]
+            drawn: list[float] = np.add(values, _uniform(seed, repeat, name, len(values)) * width).tolist()
+            return drawn
 
         initial = config["simulator"]["initial"]
         for name in ("joint_position", "base_rpy_deg", "base_velocity", "thrust"):
@@ -137,11 +137,11 @@ class Perturbation(tables.Table, frozen=True):
         self._mislead(config, draw_around, robot)
         self._wear(config, draw_around, robot)
         if self.any_direction:
-            _turn(config, stream("direction"))
+            _turn(config, _stream(seed, repeat, "direction"))
         self._reshape(config, draw_around, robot.aero_link_names)
         if self.ensemble:
             _draw(config["simulator"]["aero"], members(self.ensemble), seed, repeat)
-        _seed(config, stream("seeds"), chosen)
+        _seed(config, _seeds(seed, repeat), chosen)
 
     def _blow(self, wind: dict[str, Any], around: Any) -> None:
         if "velocity" not in wind or not (self.wind_speed or self.wind_direction_deg):
@@ -211,6 +211,24 @@ class Perturbation(tables.Table, frozen=True):
             factors["links"] = {link: given.get(link, 1.0) * x for link, x in zip(links, drawn, strict=True)}
 
 
+def _stream(seed: int, number: int, kind: str) -> np.random.Generator:
+    """Return the random numbers of a kind: one that is switched on leaves the others as they were."""
+    return np.random.default_rng([seed, number, STREAMS.index(kind)])
+
+
+# The flights of a chunk, neighbours in repeat and cell, have few draws between them; a generator is made in 10 us.
+@lru_cache(KEPT_DRAWS)
+def _uniform(seed: int, repeat: int, kind: str, count: int) -> NDArray[np.float64]:
+    return _stream(seed, repeat, kind).uniform(-1.0, 1.0, count)
+
+
+@lru_cache(KEPT_DRAWS)
+def _seeds(seed: int, repeat: int) -> tuple[int, ...]:
+    """Return the seeds of the tables of `CHANCE`."""
+    stream = _stream(seed, repeat, "seeds")
+    return tuple(int(stream.integers(2**31)) for _ in CHANCE)
+
+
 def perturbed(given: Mapping[str, Any]) -> str:
     """Return what a perturbation differs in: "start and wind perturbed"; "unperturbed" if in nothing.
 
@@ -253,14 +271,13 @@ def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -
         expected = '"network", as `perturbation.ensemble` draws its card'
         raise ConfigError.of("simulator.aero.model", aero["model"], expected)
     turn, place = divmod(repeat, len(cards))
-    order = np.random.default_rng([seed, turn, STREAMS.index("ensemble")]).permutation(len(cards))
+    order = _stream(seed, turn, "ensemble").permutation(len(cards))
     aero["card"] = str(cards[order[place]])
 
 
-def _seed(config: dict[str, Any], stream: np.random.Generator, chosen: Set[str]) -> None:
+def _seed(config: dict[str, Any], seeds: Sequence[int], chosen: Set[str]) -> None:
     """Set the seeds of all tables with random numbers for this repeat, but for those that an axis has chosen."""
-    for key, marks in CHANCE.items():
-        drawn = int(stream.integers(2**31))
+    for (key, marks), drawn in zip(CHANCE.items(), seeds, strict=True):
         table = keys.get(config, key)
         if isinstance(table, dict) and all(mark in table for mark in marks) and f"{key}.seed" not in chosen:
             table["seed"] = drawn
