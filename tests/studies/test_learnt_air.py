@@ -5,7 +5,9 @@ import pytest
 
 from experiments.studies.learnt_air import study, worlds
 from jax_aero import rust
+from jax_aero.aero.network_card import load_network
 from jax_aero.body.robot import load_robot
+from jax_aero.train import refit
 
 
 @pytest.fixture(scope="module")
@@ -85,3 +87,18 @@ def test_an_air_of_another_family_is_another_network(tmp_path, robot, monkeypatc
         False,
     )
     assert worlds.air_of("spheres", robot, tmp_path)["model"] == "sphere_cylinder"
+
+
+def test_a_model_is_judged_by_its_wrench_and_in_flight_and_the_true_air_errs_in_neither(tmp_path, robot):
+    asked = study.LearntAir(air="shipped", winds=2, minutes=(2.0,), seed=3)
+    air = worlds.air_of("shipped", robot, tmp_path)
+    judges = [study.Record(worlds.learning(3, 0, 1, air, "hover", tmp_path), robot, "judge")]
+    same = load_network(air["card"], robot)
+    found = study._judged_alone(asked, same, air, judges, robot, tmp_path)
+    true = study._judged_alone(asked, None, air, judges, robot, tmp_path)
+    nothing = refit.as_network(robot, np.zeros((robot.aero_links.count, refit.TERMS)))
+    none = study._judged_alone(asked, nothing, air, judges, robot, tmp_path)
+    assert true["force [N]"] == true["moment [N m]"] == 0.0
+    assert found["force [N]"] < 0.01 * none["force [N]"], "velocities have the noise of sensors"
+    assert found["rotation [degree]"] == pytest.approx(true["rotation [degree]"], rel=1e-3)
+    assert none["rotation [degree]"] > 2.0 * true["rotation [degree]"]

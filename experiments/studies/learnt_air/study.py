@@ -6,7 +6,8 @@ model, coefficients fitted to the same flights, what was learnt, and the true ai
 (nominal − true) of the medians of the greatest rotation error, a lost flight being the worst; its 95 % interval is a
 bootstrap over winds. Errors of wrenches are those in flights that were not learnt from, beside the true ones.
 
-`minutes` learns from 2 to 32 minutes instead, of several kinds of flights. The truth is always a simulated one.
+`minutes` learns from 2 to 32 minutes instead, of several kinds of flights, and judges in turbulence. The truth is
+always a simulated one.
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ SETTINGS = places.CONFIGS / "training_flights" / "hover.toml"
 NOMINAL = "corrected"
 """Coefficient set of the nominal model."""
 MODELS = ("nominal", "refit", "learnt", "true")
+LEARNERS = ("learnt", "learnt on nominal", "refit")
+"""What `minutes` learns: networks from nothing and on the nominal model, and coefficients fitted from the latter."""
 FIGURES = {"rotation": ("max_rotation_error", np.degrees(1.0)), "position": ("max_com_error", 100.0)}
 """Figures of merit of a flight, with the factor to degrees and centimetres."""
 DRAWS = 2000
@@ -70,7 +73,7 @@ class LearntAir(tables.Table, frozen=True):
     controls: bool = False
     """Whether winds are also shuffled between flights, and flights without one sector of the wind are learnt from."""
     minutes: tuple[tables.Positive, ...] = ()
-    """Minutes of flight to learn from; then nothing flies afterwards."""
+    """Minutes of flight to learn from; then flights in turbulence alone judge, beside wrenches."""
     kinds: tuple[Literal["mixed", "hover", "mission", "excited"], ...] = ("mixed",)
     """Kinds of flights of `minutes`."""
     seed: tables.Seed = 1
@@ -335,49 +338,72 @@ def _controls(
 def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder: Path, work: Work) -> Findings:
     """Learn from more and more minutes of several kinds of flights, with and without the nominal model beneath."""
     judges = _records(asked.judges, air, robot, folder, "mixed", asked.seed + 500)
-    zero = np.zeros((robot.aero_links.count, refit.TERMS))
-    beneath = {"none": zero, NOMINAL: np.asarray(robot.aero_links.coefficients[NOMINAL])}
-    rows, summary = list[tuple[str, float, str, float, float]](), dict[str, Any]()
+    nominal = np.asarray(robot.aero_links.coefficients[NOMINAL])
+    zero = np.zeros_like(nominal)
+    found: dict[str, dict[str, Any]] = {}
     for kind in asked.kinds:
         most = round(max(asked.minutes) * 60.0 / SECONDS)
         every: list[Record] = []
         for minutes in asked.minutes:
             count = round(minutes * 60.0 / SECONDS)
-            job = f"{kind}-{minutes:g}"
+            job = f"{kind}, {minutes:g} minutes"
             kept = work.read_json(job)
             if kept is None:
                 every = every or _records(most, air, robot, folder, kind, asked.seed)
                 # From all sides, however few they are.
                 flights = [every[number].flight for number in (np.arange(count) * most // count).tolist()]
                 kept = {}
-                for base in beneath:
+                for model, base in (("learnt", "none"), ("learnt on nominal", NOMINAL)):
                     # As many steps, whatever there is to learn from.
                     batches = max(1, count // settings_of().training.batch)
                     settings = settings_of(**{"network.baseline": base, "training.epochs": STEPS // batches})
-                    found = from_flights.learn(settings, flights, robot)
-                    kept[f"learnt on {base}"] = errors_of(found.network, judges, robot)
-                    kept[f"refit of {base}"] = errors_of(found.refit, judges, robot)
+                    start = time.process_time()
+                    learnt = from_flights.learn(settings, flights, robot)
+                    kept[model] = {"processor time [s]": time.process_time() - start}
+                    kept[model] |= _judged_alone(asked, learnt.network, air, judges, robot, folder)
+                kept["refit"] = _judged_alone(asked, learnt.refit, air, judges, robot, folder)
                 work.write_json(job, kept)
                 _say(f"{job}: {kept}")
-            for model, (force, moment) in kept.items():
-                rows.append((kind, minutes, model, force, moment))
-                summary[f"{kind}, {minutes:g} minutes, {model}"] = {"force [N]": force, "moment [N m]": moment}
-    for key, coefficients in (("nothing", zero), ("nominal", beneath[NOMINAL])):
-        force, moment = errors_of(refit.as_network(robot, coefficients), judges, robot)
-        summary[key] = {"force [N]": force, "moment [N m]": moment}
-        rows.append(("", 0.0, key, force, moment))
-    columns = list(zip(*rows, strict=True))
-    data = xr.Dataset(
-        {
-            "kind": ("row", list(columns[0])),
-            "minutes": ("row", np.array(columns[1]), {"units": "min"}),
-            "model": ("row", list(columns[2])),
-            "force": ("row", np.array(columns[3]), {"units": "N"}),
-            "moment": ("row", np.array(columns[4]), {"units": "N m"}),
-        }
-    )
-    flights_of = {"robot": rust.load_config("robot")}
-    return Findings("How much flight it takes to learn the air", data, summary, flights=flights_of, files=[SETTINGS])
+            found |= {f"{job}, {model}": row for model, row in kept.items()}
+    lines = {"nothing": refit.as_network(robot, zero), "nominal": refit.as_network(robot, nominal), "true": None}
+    found |= {name: _judged_alone(asked, network, air, judges, robot, folder) for name, network in lines.items()}
+    shape = (len(asked.kinds), len(asked.minutes), len(LEARNERS))
+    measures = {"force": "N", "moment": "N m", "rotation": "degree", "lost": "1"}
+    titles = {f"{measure} [{unit}]" if unit != "1" else measure: measure for measure, unit in measures.items()}
+    data = xr.Dataset(coords={"kind": list(asked.kinds), "minutes": list(asked.minutes), "model": list(LEARNERS)})
+    data["minutes"].attrs["units"] = "min"
+    for title, measure in titles.items():
+        rows = [
+            found[f"{kind}, {minutes:g} minutes, {model}"][title]
+            for kind in asked.kinds
+            for minutes in asked.minutes
+            for model in LEARNERS
+        ]
+        data[measure] = ("kind", "minutes", "model"), np.reshape(rows, shape), {"units": measures[measure]}
+        data[f"{measure}_line"] = "line", [found[line][title] for line in lines], {"units": measures[measure]}
+    flights_of = {law: rust.load_config(law) for law in ("robot", asked.laws[0])}
+    title = "How much flight it takes to learn the air"
+    return Findings(title, data.assign_coords(line=list(lines)), found, flights=flights_of, files=[SETTINGS])
+
+
+def _judged_alone(
+    asked: LearntAir,
+    network: Network | None,
+    air: Mapping[str, Any],
+    judges: Sequence[Record],
+    robot: RobotModel,
+    folder: Path,
+) -> dict[str, float]:
+    """Return a network's errors of the wrench, and those of flights in turbulence with it; of the true air for None."""
+    model, (force, moment) = air, (0.0, 0.0)
+    if network is not None:
+        force, moment = errors_of(network, judges, robot)
+        path = folder / f"{time.monotonic_ns()}.json"  # the crate keeps what it has read from a path
+        save_network(path, network, robot, description="An air that is judged.", training={})
+        model = worlds.card(path)
+    flown = judged(asked, asked.laws[0], "turbulence", "exact", air, {"": model}, robot)[""]["rotation"]
+    lost = float(np.isinf(flown).sum())
+    return {"force [N]": force, "moment [N m]": moment, "rotation [degree]": float(np.median(flown)), "lost": lost}
 
 
 def _dataset(asked: LearntAir, errors: Mapping[tuple[str, str, str], Any]) -> xr.Dataset:
