@@ -202,12 +202,13 @@ lint-python: $(PACKAGES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(PACKAGES) ## measure every part of a tick, the crate beside Pinocchio, DAQP and Clarabel, and trainings
+bench: $(PACKAGES) ## measure every part of a tick, the crate beside Pinocchio, DAQP and Clarabel, trainings and sweeps
 	cargo bench --locked --bench dynamics --bench aero
 	$(BIN)/python -m experiments.tools.bench
 	$(BIN)/python -m experiments.tools.bench_jax
 	taskset -c 0 $(BIN)/python -m experiments.tools.bench_train
 	$(BIN)/python -m experiments.tools.bench_gpu
+	$(BIN)/python -m experiments.tools.bench_sweep
 
 figures: $(PACKAGES) ## fly the paper's first two flights and the demo's, and draw every figure whose results are there
 	$(BIN)/jax-aero fly test1 test2 $(GALE) $(ENGINE) --overwrite
