@@ -57,6 +57,9 @@ WIDENING, FOLLOWING, HOLD, FADE = 1.0, 100.0, 1.0, 2.0
 BETWEEN, BLIND, PAUSE, STEPS = 0.15, 3.0, 1.0, 10.5
 """Longest time between two measurements, without measurement before the descent, and of a pause [s]; n of M108."""
 
+SPARE = 0.1
+"""Share of a tick by which a sum of times is longer than one of these."""
+
 Arrays = list[NDArray[np.float64]]
 
 
@@ -159,13 +162,16 @@ class Channels:
         if wind.age > 0.0:
             left = np.clip(1.0 - (wind.age - HOLD) / FADE, 0.0, 1.0)
             used["wind"] = [left * wind.predicted[0]]
-            modes |= {"wind_lost"} if left <= 0.0 else set()
-        self.is_blind |= any(of[name].age > BLIND for name in VITAL)
+            modes |= {"wind_lost"} if self._is_longer(wind.age, HOLD + FADE) else set()
+        self.is_blind |= any(self._is_longer(of[name].age, BLIND) for name in VITAL)
         modes |= {"descending"} if self.is_blind else set()
         if "begun_again" in modes:
             self.is_blind = False
         self.is_begun = True
         return {name: [z.copy() for z in arrays] for name, arrays in used.items()}, modes
+
+    def _is_longer(self, time: float, limit: float) -> bool:
+        return time > limit + SPARE * self.step
 
     def _predict(self, last: Any, dt: float) -> None:
         of, moved = self.channels, dt * acceleration(self.robot, last)
@@ -203,7 +209,8 @@ class Channels:
         if counts:
             one.against = 1 + agrees * one.against if is_plausible and not is_sound else 0
         is_outvoted = one.against > one.support
-        one.is_rejected |= one.name == "wind" and is_plausible and not is_sound and one.age > HOLD
+        is_old = self._is_longer(one.age, HOLD)
+        one.is_rejected |= one.name == "wind" and is_plausible and not is_sound and is_old
         if (is_sound or is_outvoted) and not one.is_frozen and not one.is_rejected:
             one.age = 0.0
             if is_outvoted:
@@ -215,7 +222,8 @@ class Channels:
                 one.predicted = [part.copy() for part in z]
         else:
             one.age += dt
-            is_usual = one.name == "height" and (np.isnan(one.predicted[0]).any() or one.age <= BETWEEN)
+            is_between = not self._is_longer(one.age, BETWEEN)
+            is_usual = one.name == "height" and (np.isnan(one.predicted[0]).any() or is_between)
             modes |= set() if is_usual else {MODES.get(one.name, "thrust_modelled")}
         return was_new and one.age == 0.0 and not is_same and self.is_begun
 
@@ -239,6 +247,6 @@ class Channels:
         }
         for name, moved in found.items():
             one = of[name]
-            if one.age > 0.0 and (one.age > BETWEEN or not one.is_missing):
+            if one.age > 0.0 and (self._is_longer(one.age, BETWEEN) or not one.is_missing):
                 velocity = one.predicted[0]
                 one.predicted = [velocity - np.expm1(-FOLLOWING * dt) * (moved / dt - velocity)]

@@ -42,12 +42,12 @@ class Joints:
         self.held = np.zeros(n)
         self.forget()
 
-    def begin(self, tick: Any, dt: float) -> None:
-        """Take in the first tick, which is compared with a robot at rest that is not accelerated."""
-        residual = tick.mass_matrix @ (np.asarray(tick.estimates.state.velocity) / dt)
-        self.fast = -np.expm1(-dt / FAST) * residual
-        self.mean = -np.expm1(-dt / SLOW) * residual
-        self.pause -= dt
+    def begin(self, positions: NDArray[np.float64]) -> None:
+        """Begin again in a tick that no tick before can be compared with; what is found stays."""
+        self.position = positions.copy()
+        self.way[:], self.commanded[:], self.mean[:] = 0.0, 0.0, 0.0
+        self.pause = SETTLING
+        self.interrupt()
 
     def forget(self) -> None:
         """Begin all suspicions anew."""

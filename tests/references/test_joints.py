@@ -36,10 +36,10 @@ def fly(changes, reference=Joints):
         flight.step()
         tick, dt = flight.last, measured.time - time if last is not None else step
         lacks = WITHOUT & {*tick.degraded_modes}
-        if last is None:
-            judge.begin(tick, dt)
+        positions = np.asarray(measured.state.joint_position)
+        if last is None or "begun_again" in tick.degraded_modes:
+            judge.begin(positions)
         else:
-            positions = np.asarray(measured.state.joint_position)
             judge.move(positions, are_measured="joints_predicted" not in lacks, dt=dt)
             if lacks:
                 judge.interrupt()
@@ -62,6 +62,10 @@ def outage(channel, start, duration):
     return {"channel": channel, "kind": "missing", "start": start, "duration": duration}
 
 
+WRONG_AT_FIRST = outage("base_position", 0.0, 0.005) | {"kind": "wrong", "error": 0.4}
+"""A flight begins again where its first position was wrong."""
+
+
 FLIGHTS = {
     "nothing": ({}, 0),
     "a stuck joint": (fault("torso_pitch", "stuck"), STUCK),
@@ -72,6 +76,10 @@ FLIGHTS = {
     "a weak joint in gaps": (
         fault("torso_pitch", "weak")
         | {"disturbances.outages": [outage("joints", 2.25, 0.03), outage("base_rotation", 2.32, 0.02)]},
+        WEAK,
+    ),
+    "a weak joint after a new beginning": (
+        fault("torso_pitch", "weak") | {"disturbances.outages": [WRONG_AT_FIRST]},
         WEAK,
     ),
 }

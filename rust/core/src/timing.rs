@@ -7,6 +7,16 @@ pub fn share(x: f64) -> f64 {
     -libm::expm1(-x)
 }
 
+/// Share of a tick that absorbs rounding. With half of one it would decide again where a limit is an odd number of half ticks,
+/// as 0.15 s in ticks of 20 ms.
+pub const ROUNDING: f64 = 0.1;
+
+/// Whether a sum of times of ticks is more than a limit \[s\].
+#[must_use]
+pub fn is_longer(time: f64, limit: f64, time_step: f64) -> bool {
+    time > limit + ROUNDING * time_step
+}
+
 /// For how long a limit has been exceeded, from tick to tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Exceeded {

@@ -669,6 +669,28 @@ fn a_flight_that_begins_again_plans_anew() {
     assert_eq!(planned, [(false, true), (false, false), (false, true), (true, true), (false, false)]);
 }
 
+/// Joints are compared with the tick before: neither the first one nor one with which the flight begins again has one, and the
+/// velocity that they measure is no residual.
+#[test]
+fn a_first_velocity_is_no_residual_of_the_joints() {
+    let mut config = experiment("test2_observer");
+    config.controller.law.channels.jump = true;
+    config.controller.law.fault_detection.joints = experiment("robot").controller.law.fault_detection.joints;
+    let mut first = Measurement::start(&config);
+    first.state.velocity.fill(0.3);
+    let mut controller = controller(&config);
+    let compared: Vec<_> = (0..5)
+        .map(|tick| {
+            let mut sample = Measurement { time: TIME_STEP * f64::from(tick), ..first.clone() };
+            sample.state.base.position.x += [0.0, 0.0, 9.0, 9.0, 9.0][tick as usize] + 1e-3 * f64::from(tick);
+            let modes = sample.tick(&mut controller).modes;
+            let is_compared = controller.state().joints().unwrap().mean().amax() > 0.0;
+            (modes.contains(Modes::BEGUN_AGAIN), is_compared)
+        })
+        .collect();
+    assert_eq!(compared, [(false, false), (false, true), (false, true), (false, true), (true, false)]);
+}
+
 /// Where a flight begins again the ground is that of this tick's height, for the robot upright, however it leans; without a
 /// height it is not known, and a landing is slow.
 #[test]

@@ -2,6 +2,7 @@
 
 use super::acting::Acting;
 use super::detect::engines::EngineMonitor;
+use super::detect::joints::JointsState;
 use super::detect::unmeasured_engines::UnmeasuredState;
 use super::detect::{DetectorSizes, DetectorStates};
 use super::engine_condition::EngineCondition;
@@ -134,6 +135,12 @@ impl ControllerState {
     #[must_use]
     pub fn unmeasured_engines(&self) -> Option<&UnmeasuredState> {
         self.detectors.unmeasured_engines.as_ref()
+    }
+
+    /// What is kept of the joints, where they are looked at.
+    #[must_use]
+    pub fn joints(&self) -> Option<&JointsState> {
+        self.detectors.joints.as_ref()
     }
 
     /// Whether, and why, the robot descends instead of following its mission.

@@ -16,7 +16,7 @@
 use super::detector::{Detector, Evidence, Findings, Setup};
 use crate::control::command::Command;
 use crate::control::limits::{JointCondition, Limits};
-use crate::control::measure::measurement::Estimate;
+use crate::control::measure::measurement::{Estimate, Sampling};
 use crate::control::modes::{Mode, Modes, modes};
 use crate::robot::RobotModel;
 use crate::timing::{Exceeded, share};
@@ -179,7 +179,9 @@ impl Detector for Joints {
         limits: &mut Limits,
         findings: &mut Findings,
     ) {
-        if tick.estimate.has_momentum() && tick.inverse_mass.is_known && !tick.is_standing {
+        // A first tick is compared with none.
+        let is_measured = tick.estimate.momentum == Sampling::Measured;
+        if is_measured && tick.inverse_mass.is_known && !tick.is_standing {
             let config = self.config;
             state.update(&config, &self.sample(tick));
         } else {
@@ -228,6 +230,12 @@ impl JointsState {
             found: vec![JointCondition::Healthy; position.len()],
             stuck_at: none,
         }
+    }
+
+    /// `m`, the part of the residual that is an error of the model \[N, N m\].
+    #[must_use]
+    pub fn mean(&self) -> &DVector<f64> {
+        &self.mean
     }
 
     /// Begins again in these positions \[rad, m\]; what is found stays.

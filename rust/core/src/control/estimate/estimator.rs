@@ -27,7 +27,7 @@ use crate::jets::{JetDynamics, JetModel};
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use crate::spatial::{GREATEST, exp_so3, log_so3, project_to_so3};
-use crate::timing::share;
+use crate::timing::{ROUNDING, share};
 use nalgebra::{DVector, Vector3, Vector6};
 
 /// Greatest latency of torques beyond the configured one that is used when it is measured \[s\].
@@ -292,7 +292,7 @@ impl Estimator {
         let gains = Gains { delays, shares, by_position, of_bias };
         let latency_max = latency.torque + LATENCY_UNKNOWN;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most 255
-        let gap_max = (BETWEEN_MAX / time_step).min(255.0) as u8;
+        let gap_max = (BETWEEN_MAX / time_step + ROUNDING).min(255.0) as u8;
         Ok(Self {
             model,
             time_step,

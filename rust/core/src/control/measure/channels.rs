@@ -33,7 +33,7 @@ use crate::jets::{EngineModel, JetModel};
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, is_rotation, vee_of_skew_part};
-use crate::timing::share;
+use crate::timing::{is_longer, share};
 use nalgebra::{DVector, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use state::{Record, bound, time_is_plausible};
@@ -316,7 +316,8 @@ impl Channels {
         let mut is_pose_new = is_step;
         for (place, channel) in self.parts.iter().enumerate() {
             let is_new = self.accept(state, place, dt, missed_ticks, used);
-            descent.is_blind |= channel.is_vital() && state.records[place].age > DESCEND_AFTER;
+            descent.is_blind |=
+                channel.is_vital() && is_longer(state.records[place].age, DESCEND_AFTER, self.time_step);
             match channel {
                 Channel::AngularVelocity if was_begun => self.integrate_pose(state, &used.robot, dt),
                 Channel::Position | Channel::Rotation => is_pose_new &= is_new,
@@ -341,10 +342,10 @@ impl Channels {
             false => f64::INFINITY,
         };
         used.momentum = match is_measured {
-            true if used.modes.contains(Modes::BEGUN_AGAIN) => Sampling::First,
+            true if !was_begun || used.modes.contains(Modes::BEGUN_AGAIN) => Sampling::First,
             true => Sampling::Measured,
-            false if used.gap <= BETWEEN_MAX => Sampling::Between,
-            false => Sampling::Unknown,
+            false if is_longer(used.gap, BETWEEN_MAX, self.time_step) => Sampling::Unknown,
+            false => Sampling::Between,
         };
         state.is_begun = true;
         used.thrust_rate.copy_from_slice(state.jet_rate.as_slice());
@@ -420,7 +421,10 @@ impl Channels {
             record.against = u32::from(is_plausible && !is_sound) * (1 + u32::from(agrees) * record.against);
         }
         let is_outvoted = record.against > record.support;
-        record.is_distrusted |= kind == Channel::Wind && is_plausible && !is_sound && record.age > WIND_HOLD;
+        record.is_distrusted |= kind == Channel::Wind
+            && is_plausible
+            && !is_sound
+            && is_longer(record.age, WIND_HOLD, self.time_step);
         record.is_frozen = is_same && (record.is_frozen || leaves);
         if (is_sound || is_outvoted) && !record.is_frozen && !record.is_distrusted {
             record.age = 0.0;
@@ -438,8 +442,8 @@ impl Channels {
             }
         } else {
             record.age += dt;
-            let is_usual =
-                kind == Channel::Height && (state.predicted.height.is_nan() || record.age <= BETWEEN_MAX);
+            let is_between = !is_longer(record.age, BETWEEN_MAX, self.time_step);
+            let is_usual = kind == Channel::Height && (state.predicted.height.is_nan() || is_between);
             modes.insert_if(!is_usual, kind.mode());
         }
         was_new && state.records[place].age == 0.0 && !is_same && state.is_begun
@@ -471,7 +475,7 @@ impl Channels {
         for (row, (place, found)) in
             self.velocities().into_iter().zip([moved, vee_of_skew_part(&turned)]).enumerate()
         {
-            if state.records[place].follows_pose() {
+            if state.records[place].follows_pose(self.time_step) {
                 let velocity = &mut state.predicted.state.velocity.as_mut_slice()[3 * row..3 * row + 3];
                 for (velocity, found) in velocity.iter_mut().zip(&(found / dt)) {
                     *velocity += share * (found - *velocity);
@@ -492,9 +496,8 @@ impl Channels {
                 Channel::Wind => {
                     let left = 1.0 - (record.age - WIND_HOLD) / WIND_FADE;
                     used.robot.wind *= left.clamp(0.0, 1.0);
-                    if left <= 0.0 {
-                        used.modes.insert(Modes::WIND_LOST);
-                    }
+                    let is_lost = is_longer(record.age, WIND_HOLD + WIND_FADE, self.time_step);
+                    used.modes.insert_if(is_lost, Modes::WIND_LOST);
                 }
                 _ => {}
             }
@@ -532,7 +535,7 @@ impl Channels {
     pub fn select_accepted(&self, state: &ChannelsState, used: &Estimate, to: &mut Measurement) {
         to.copy_from(&used.robot);
         for (channel, record) in self.parts.iter().zip(&state.records) {
-            if record.age > 0.0 && !(channel.is_velocity() && record.follows_pose()) {
+            if record.age > 0.0 && !(channel.is_velocity() && record.follows_pose(self.time_step)) {
                 to.remove(*channel);
             }
         }

@@ -184,7 +184,7 @@ pub const BETWEEN_MAX: f64 = 0.15;
 pub enum Sampling {
     /// It is measured.
     Measured,
-    /// It is measured, but not comparable with what was measured before.
+    /// It is measured, but not comparable with what was measured before: in the first tick nothing was.
     First,
     /// It is between two measurements.
     Between,
@@ -212,12 +212,6 @@ impl Estimate {
             gap: 0.0,
             modes: Modes::default(),
         }
-    }
-
-    /// Whether the momentum is measured and the time since the last tick is known.
-    #[must_use]
-    pub fn has_momentum(&self) -> bool {
-        matches!(self.momentum, Sampling::Measured | Sampling::First)
     }
 }
 

@@ -4,6 +4,7 @@ use crate::control::acting::Acting;
 use crate::control::measure::measurement::{BETWEEN_MAX, Estimate, Measurement};
 use crate::control::modes::Modes;
 use crate::jets::JetModel;
+use crate::timing::is_longer;
 use nalgebra::DVector;
 
 /// Longest time between two ticks, in ticks. Half a tick absorbs rounding.
@@ -37,8 +38,8 @@ pub(super) struct Record {
 impl Record {
     /// Whether a velocity of the base is to follow the pose: it is wrong, or has been missing for longer than between two
     /// measurements.
-    pub(super) fn follows_pose(&self) -> bool {
-        self.age > 0.0 && (self.age > BETWEEN_MAX || !self.is_missing)
+    pub(super) fn follows_pose(&self, time_step: f64) -> bool {
+        self.age > 0.0 && (!self.is_missing || is_longer(self.age, BETWEEN_MAX, time_step))
     }
 }
 
