@@ -11,30 +11,28 @@ from jax_aero.figures.entry import Entry
 
 
 def draw(*studies: xr.Dataset) -> Figure:
-    """Draw the courses of the seeds on the left, with their range, and on the right final rewards over wind speed."""
+    """Draw the courses of the seeds on the left, and on the right final rewards over wind speed."""
     figure = style.figure(2.9)
     course, final = figure.subplots(1, 2)
     for study, colour, label in zip(studies, style.GROUP_COLOURS, ("gradients", "PPO"), strict=False):
-        minutes = study["minutes"].mean("seed")
-        reward, seeds = study["reward"], study.sizes["seed"]
-        course.fill_between(minutes, reward.min("seed"), reward.max("seed"), color=colour, alpha=0.25, linewidth=0)
-        of = f"{seeds} seed{'s' * (seeds > 1)} of {float(minutes[-1]):.1f} min"
-        course.plot(minutes, reward.mean("seed"), color=colour, label=f"{label}, {of}")
+        for minutes, reward in zip(study["minutes"], study["reward"], strict=True):
+            course.plot(minutes, reward, ".-", color=colour, linewidth=0.8, markersize=4)
         speed = np.linalg.norm(study["wind"], axis=1)
         final.plot(speed, study["final_reward"].T, ".", markersize=3, color=colour)
+        seeds = study.sizes["seed"]
+        course.lines[-1].set_label(f"{label}, {seeds} seed{'s' * (seeds > 1)}")
     course.set_xlabel("processor time [min]")
-    course.legend()
+    course.set_xlim(left=0.0)
+    course.legend(loc="lower left")
     final.set_xlabel("wind [m/s], after training")
     for axes in (course, final):
         axes.set_ylabel("mean reward of an unseen episode")
-        axes.set_ylim(0.0, 1.0)
+        axes.set_ylim(0.0, 1.02)
     style.letters((course, final))
     return figure
 
 
 FIGURES = {
-    "policy": Entry(
-        draw, "hovering learnt from nothing: rewards over time, and by wind", "policy", ("hover", "hover_ppo")
-    ),
+    "policy": Entry(draw, "hovering learnt from nothing: rewards over time, and by wind", "policy", ("hover",)),
 }
 """The study `policy`."""
