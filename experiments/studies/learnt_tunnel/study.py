@@ -58,7 +58,7 @@ class Tunnel(tables.Table, frozen=True):
     """Steps of a training."""
     noise: tuple[tables.Positive, tables.Positive] = (0.5, 0.4)
     """Standard deviations of force and moment [N, N m]; the latter's is mostly that of the balance centre's place."""
-    seed: tables.Seed = 1
+    seed: tables.Seed = 27570806  # 0x01a4b276, of the commit that states what it is to show
     """Of the orders and of the networks' weights."""
 
 
