@@ -28,13 +28,12 @@ def draw(study: xr.Dataset) -> Figure:
         for line in ("nominal", "true"):
             level = float(study[f"{measure}_line"].sel(line=line))
             axes.axhline(level, color=style.BLACK, linewidth=0.8)
-            place = {"textcoords": "offset points", "ha": "right", "fontsize": 7}
-            axes.annotate(line, (study["minutes"].values[-1], level), (0, 3), **place)
+            beside = {"xytext": (3, 0), "textcoords": "offset points", "va": "center", "fontsize": 7}
+            axes.annotate(line, (1.0, level), xycoords=axes.get_yaxis_transform(), **beside)
         axes.set_xscale("log", base=2)
         axes.set_xticks(study["minutes"].values, [f"{minutes:g}" for minutes in study["minutes"].values])
         axes.set_xlabel("minutes of flight")
         axes.set_ylabel(label)
-        axes.margins(y=0.15)
         axes.set_ylim(bottom=0.0)
     style.letters(panels)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=7)
