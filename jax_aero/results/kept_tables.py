@@ -234,4 +234,4 @@ def of_study(document: Kept, columns: Names, chosen: Names, digits: int = 2) -> 
 def _unit(figure: str) -> str:
     """Return the unit that ends the name of a figure."""
     found = UNIT.search(figure)
-    return found["unit"].translate(SIGNS).replace("deg", "°") if found else ""
+    return found["unit"].translate(SIGNS).replace("degree", "°").replace("deg", "°") if found else ""

@@ -6,7 +6,7 @@ import pytest
 
 from experiments.report import blocks
 from jax_aero.base.terminal import Refused
-from jax_aero.results import kept
+from jax_aero.results import kept, kept_tables
 from tests.units.test_kept import made_up
 
 
@@ -94,3 +94,8 @@ def test_what_is_not_there_is_refused_with_its_line(page, asks, reason):
 def test_a_block_without_an_end_is_refused():
     with pytest.raises(Refused, match=r"a\.md: a table is not between"):
         blocks.written("<!-- table\n-->\n| a |\n", Path("a.md"))
+
+
+@pytest.mark.parametrize(("figure", "unit"), [("lean [degree]", "°"), ("lean [deg]", "°"), ("speed [deg/s]", "°/s")])
+def test_degrees_have_one_sign_however_a_figure_spells_them(figure, unit):
+    assert kept_tables._unit(figure) == unit
