@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
-from experiments.studies.learnt_air import study, worlds
+from experiments.studies.learnt_air import figure, study, worlds
 from jax_aero import rust
 from jax_aero.aero.network_card import load_network
 from jax_aero.body.robot import load_robot
@@ -102,3 +103,15 @@ def test_a_model_is_judged_by_its_wrench_and_in_flight_and_the_true_air_errs_in_
     assert found["force [N]"] < 0.01 * none["force [N]"], "velocities have the noise of sensors"
     assert found["rotation [degree]"] == pytest.approx(true["rotation [degree]"], rel=1e-3)
     assert none["rotation [degree]"] > 2.0 * true["rotation [degree]"]
+
+
+def test_the_picture_has_a_line_for_each_kind_and_model_and_the_levels_beside_them():
+    kinds, minutes = ["mission", "hover"], [2.0, 4.0]
+    error = np.arange(12.0).reshape(2, 2, 3)
+    measures = dict.fromkeys(figure.LABELS, (("kind", "minutes", "model"), error))
+    levels = {f"{key}_line": ("line", [20.0, 0.5]) for key in figure.LABELS}
+    coords = {"kind": kinds, "minutes": minutes, "model": list(study.LEARNERS), "line": ["nominal", "true"]}
+    axes = figure.draw(xr.Dataset(measures | levels, coords)).axes[0]
+    drawn = {line.get_label(): list(line.get_ydata()) for line in axes.lines}
+    assert drawn["hover: refit"] == error[1, :, 2].tolist()
+    assert [20.0, 20.0] in drawn.values()
