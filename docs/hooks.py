@@ -14,12 +14,12 @@ from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 from mkdocs.utils import get_relative_url
 
-from experiments.report import command, kept_pages
+from experiments.report import command, stored
 from experiments.tools import schema
 from jax_aero import rust
 from jax_aero.commands import study as studies
-from jax_aero.figures import kept as kept_pictures
-from jax_aero.results import kept
+from jax_aero.figures import drawings
+from jax_aero.stored import kept
 from jax_aero.sweep import columns
 
 EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -80,7 +80,7 @@ def on_files(files: Any, *, config: Any) -> Any:
     for path, text in generated().items():
         files.append(File.generated(config, path, content=text))
     for name in filter(lambda name: kept.read(name).is_drawn, kept.names()):
-        drawn = kept_pictures.draw(kept.read(name))
+        drawn = drawings.draw_small(kept.read(name).sweep)
         files.append(File.generated(config, f"results/{name}.webp", content=drawn))
     for picture in pictures():
         path = f"studies/{picture.parent.name}/{picture.name}"
@@ -119,7 +119,7 @@ def generated() -> dict[str, str]:
     pages["studies/index.md"] = "\n".join(
         ["# Studies", "", INDEX, "", "| `jax-aero study` | answers |", "|---|---|", *rows, ""]
     )
-    pages |= {f"results/{name}": text for name, text in kept_pages.pages().items()}
+    pages |= {f"results/{name}": text for name, text in stored.pages().items()}
     pages |= {f"notebooks/{path.stem}.md": notebook(path) for path in NOTEBOOKS}
     return pages | {f"studies/{name}.md": study_page(name) for name in studies.names()}
 

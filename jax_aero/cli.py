@@ -92,7 +92,7 @@ def function_of(command: str) -> Callable[[Sequence[str]], int | None]:
         case "report":
             module = checkout.load("experiments.report.command")
         case "report keep":
-            from jax_aero.results import keep as module
+            from jax_aero.stored import keep as module
         case "replay":
             from jax_aero.commands import replay as module
         case "identify":

@@ -36,8 +36,8 @@ from jax_aero.base.terminal import Refused
 from jax_aero.base.typed_config import scenario_config
 from jax_aero.commands import study as studies
 from jax_aero.refusals import refused
-from jax_aero.results import kept, kept_tables
-from jax_aero.results.kept_tables import Names, Rows, Value, by_heading, of_columns, one
+from jax_aero.stored import kept
+from jax_aero.stored.kept import Names, Rows, Value, by_heading, one, table_of
 from jax_aero.verify import compared
 
 BLOCK = re.compile(r"^<!-- table\n(?P<asks>.*?)^-->\n.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
@@ -106,11 +106,11 @@ def _of_kept(asked: Asked) -> Rows:
         return next(headings for headings, _ in tables.values()), rows
     document = kept.read(asked.kept)
     if not document.rows:
-        return kept_tables.of_study(document, asked.columns, asked.rows)
+        return kept.study_table(document, asked.columns, asked.rows)
     if not isinstance(asked.rows, dict):
         axes = ", ".join(axis.name for axis in document.axes)
         raise Refused(f"rows is {asked.rows}; expected levels by axis: {axes}")
-    return kept_tables.of_sweep(document, asked.columns, asked.rows, asked.across)
+    return kept.sweep_table(document, asked.columns, asked.rows, asked.across)
 
 
 def _of_flights(asked: Asked) -> Rows:
@@ -125,7 +125,7 @@ def _of_flights(asked: Asked) -> Rows:
             row[figure] = Value(number.values, number.unit.replace("deg", "°"))
         rows.append(row)
     labels = {name: figure.label for name, figure in rust.figures().items()} | {"lost_time": "lost at"}
-    headings, cells = of_columns(asked.columns, rows, labels)
+    headings, cells = table_of(asked.columns, rows, labels)
     named = {key: controller.label for key, controller in CONTROLLERS.items()}
     texts = [
         f"`{name}`" if text == name else text.format_map(named) for text, name in by_heading(asked.flights).items()

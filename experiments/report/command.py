@@ -22,8 +22,8 @@ from jax_aero.base.files import write_text
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.results import manifest
 from jax_aero.results.flight import PAPER_RUNS
-from jax_aero.results.outdated import ANOTHER
 from jax_aero.results.table import HEADINGS, outcome_row
+from jax_aero.stored.outdated import ANOTHER
 
 DOCS = places.HOME / "docs"
 CLAIMS = DOCS / "claims.json"

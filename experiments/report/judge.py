@@ -29,7 +29,7 @@ from jax_aero.base.references import file_hash
 from jax_aero.base.terminal import ConfigError, Refused
 from jax_aero.results import manifest
 from jax_aero.results.identity import VERSIONS
-from jax_aero.results.outdated import ANOTHER
+from jax_aero.stored.outdated import ANOTHER
 from jax_aero.sweep import spec
 from jax_aero.sweep.criteria import Criterion
 from jax_aero.sweep.design import Design

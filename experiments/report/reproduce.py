@@ -18,7 +18,7 @@ from jax_aero.base import kinds, places
 from jax_aero.base.arguments import Parser
 from jax_aero.base.files import write_json
 from jax_aero.base.terminal import exit_status
-from jax_aero.results import outdated
+from jax_aero.stored import outdated
 
 
 def main(arguments: Sequence[str]) -> int:

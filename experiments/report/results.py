@@ -19,10 +19,11 @@ from jax_aero.base import documents, flights, keys, places, run_file
 from jax_aero.base.files import find_damaged, read_json
 from jax_aero.base.result import ending
 from jax_aero.base.terminal import Refused
-from jax_aero.results import outdated, sweep
-from jax_aero.results.outdated import ANOTHER
-from jax_aero.results.sweep import SweepResult
 from jax_aero.rust import SETTLING_TIME
+from jax_aero.stored import outdated
+from jax_aero.stored.outdated import ANOTHER
+from jax_aero.sweep import result as sweep
+from jax_aero.sweep.result import SweepResult
 
 Array: TypeAlias = NDArray[Any]
 Cell: TypeAlias = Mapping[str, Any]

@@ -24,15 +24,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental import topologies
 
-from experiments.tools import bench_train
 from jax_aero import air, rust, sim
 from jax_aero.base.arguments import count
 from jax_aero.env import FlightEnv, Task
-from jax_aero.results import kept
 from jax_aero.results.study import listing
 from jax_aero.sim.outcome import FLYING
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.wind import _waves
+from jax_aero.stored import keep, kept
 from jax_aero.types import replace_values
 
 untyped: Any = jax
@@ -103,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     more = [] if given.store else above(found)
     if given.store:
         about = f"XLA's program for an H200, not measured; jax {jax.__version__}; passes of {given.robots} robots"
-        bench_train.store(NAME, TITLE, about, "python -m experiments.tools.bench_gpu --store", found)
+        keep.benchmark(NAME, TITLE, about, "python -m experiments.tools.bench_gpu --store", found)
     print("\n".join(f"{name}: a twentieth more than what is stored" for name in more))
     return int(bool(more))
 

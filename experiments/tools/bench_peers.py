@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.tools import bench, bench_train
+from experiments.tools import bench
 from jax_aero import rust
 from jax_aero.base import files, places
 from jax_aero.base.arguments import count
@@ -34,6 +34,7 @@ from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.mujoco import model as mujoco
 from jax_aero.results import manifest
 from jax_aero.results.study import listing
+from jax_aero.stored import keep
 from jax_aero.types import State
 
 untyped: Any = jax
@@ -93,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         versions = ", ".join(f"{name} {manifest.version_of(name)[name]}" for name in ("jax", "mujoco-mjx", "pin"))
         about = f"{manifest.device()['cpu']}; {versions}, {PACKAGES.split()[0].replace('==', ' ')}"
         command = "taskset -c 0 python -m experiments.tools.bench_peers --store"
-        bench_train.store(NAME, TITLE, about, command, found)
+        keep.benchmark(NAME, TITLE, about, command, found)
     return 0
 
 

@@ -20,12 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.tools import bench_train
 from jax_aero.base import places
 from jax_aero.base.arguments import count
 from jax_aero.base.terminal import Refused
 from jax_aero.results import manifest
 from jax_aero.results.study import listing
+from jax_aero.stored import keep
 
 NAME, TITLE = "bench_sweep", "What sweeps cost"
 TICK = 0.01
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.store:
         part = f" --part {given.part}" if given.part > 1 else ""
         about = f"{manifest.device()['cpu']}; perturbed flights in two cells; one core unless two are named"
-        bench_train.store(NAME, TITLE, about, f"python -m experiments.tools.bench_sweep --store{part}", found)
+        keep.benchmark(NAME, TITLE, about, f"python -m experiments.tools.bench_sweep --store{part}", found)
     return 0
 
 

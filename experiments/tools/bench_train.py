@@ -15,7 +15,6 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -30,9 +29,9 @@ from jax_aero.aero.dataset import load
 from jax_aero.aero.network import Network
 from jax_aero.base import places
 from jax_aero.base.arguments import count
-from jax_aero.base.files import write_text
-from jax_aero.results import kept, manifest
+from jax_aero.results import manifest
 from jax_aero.results.study import listing
+from jax_aero.stored import keep, kept
 from jax_aero.train import config, loop, samples_of
 from jax_aero.train.adam import adam_start
 from jax_aero.train.parts import parts
@@ -74,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command += " --dataset results/datasets/freestream.nc" * bool(given.dataset)
         used = {**manifest.versions("jax"), **manifest.version_of("torch")}
         packages = ", ".join(f"{name} {used[name]}" for name in ("numpy", "jax", "torch") if name in used)
-        store(
+        keep.benchmark(
             NAME,
             TITLE,
             f"{manifest.device()['cpu']}; one thread; batches of {PRODUCT} rows; {packages}",
@@ -204,27 +203,6 @@ def below(found: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Return the networks whose share of NumPy's rate is below what is stored."""
     stored = kept.read(NAME).summary
     return [name for name in NETWORKS if found[name][SHARE] < SLACK * stored[name][SHARE]]
-
-
-def store(name: str, title: str, about: str, command: str, found: Mapping[str, Mapping[str, float]]) -> None:
-    """Keep what a benchmark found."""
-    git = manifest.git_state()
-    document = kept.Kept(
-        name=name,
-        result=f"bench/{name}",
-        title=title,
-        about=about,
-        command=command,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        commit=None if git["dirty"] else git["commit"],
-        digest="",
-        summary={case: {key: _rounded(value) for key, value in of.items()} for case, of in found.items()},
-    )
-    write_text(kept.FOLDER / f"{name}.json", kept.to_json(document))
-
-
-def _rounded(value: float) -> float:
-    return value if isinstance(value, int) else float(f"{value:.4g}")
 
 
 if __name__ == "__main__":

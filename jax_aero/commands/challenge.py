@@ -26,10 +26,11 @@ from jax_aero.base import arguments, places
 from jax_aero.base.files import write_bytes, write_text
 from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import Refused, exit_status
-from jax_aero.figures import kept as pictures
-from jax_aero.results import keep, kept, kept_tables, record, study
-from jax_aero.results.kept import Kept
+from jax_aero.figures import drawings
+from jax_aero.results import record, study
 from jax_aero.results.table import text_table
+from jax_aero.stored import keep, kept
+from jax_aero.stored.kept import Kept
 from jax_aero.sweep import run, spec
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.spec import Level, Spec
@@ -60,12 +61,12 @@ def main(arguments: Sequence[str]) -> int:
         seed = [] if given.seed is None else ["--seed", str(given.seed)]
         command = shlex.join(["jax-aero", "challenge", given.controller, *seed])
         document = structs.replace(beside(name, flown, times(levels)), command=command, seed=given.seed)
-        columns, rows = kept_tables.of_page(document)
+        columns, rows = kept.page_table(document)
         print(text_table([columns, *rows]))
         folder = (given.out or places.RESULTS / "challenge") / name
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / f"{name}.json", kept.to_json(document))
-        write_bytes(folder / f"{name}.webp", pictures.draw(document))
+        write_text(folder / f"{name}.json", keep.to_json(document))
+        write_bytes(folder / f"{name}.webp", drawings.draw_small(document.sweep))
         headings = ("controller", *next(iter(document.summary.values())))
         print(text_table([headings, *((name, *map(str, of.values())) for name, of in document.summary.items())]))
         print(os.path.relpath(folder))

@@ -14,8 +14,8 @@ from jax_aero.base.quantities import COLUMNS
 from jax_aero.base.terminal import REFUSED
 from jax_aero.figures import drawings, runs, style, sweeps
 from jax_aero.figures.catalogue import FIGURES, SWEEPS
-from jax_aero.results import outdated
-from jax_aero.results.sweep import is_finished
+from jax_aero.stored import outdated
+from jax_aero.sweep.result import is_finished
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

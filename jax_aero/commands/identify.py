@@ -393,7 +393,7 @@ def identify_robot(
             of_them = f"; left out: {counts}" if counts else ""
             raise Refused(f"a log has {has}; expected {samples.LEAST:g} s that the equations of flight cover{of_them}")
         flying = one.weight.size - reasons.get("feet loaded", 0) - reasons.get("engines idle", 0)
-        if one.weight.sum() < samples.KEPT * flying:
+        if one.weight.sum() < samples.LEAST_SHARE * flying:
             kept = f"{one.weight.sum():.0f} of {flying} samples in flight"
             raise Refused(f"a log keeps {kept}; expected half of them; left out: {counts}")
         left_out = {name: left_out.get(name, 0) + reasons.get(name, 0) for name in {**left_out, **reasons}}

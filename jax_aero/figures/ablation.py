@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 from jax_aero.figures import style
 from jax_aero.figures.sweeps import axis_label, level_label, require, shown_figure
-from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep.intervals import SHARE
+from jax_aero.sweep.result import SweepResult
 
 SERIES = (
     (style.BLUE, "o", "-"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
 
 import matplotlib as mpl
@@ -9,7 +10,7 @@ from matplotlib.figure import Figure
 
 from jax_aero.base.terminal import Refused
 from jax_aero.figures import ablation, front, maps, model_pairs, pairs, runs, scatter, style
-from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep.result import SweepResult
 
 DRAWINGS: Mapping[str, Callable[[SweepResult], Figure]] = {
     "levels": ablation.draw,
@@ -20,6 +21,9 @@ DRAWINGS: Mapping[str, Callable[[SweepResult], Figure]] = {
     "pairs": pairs.draw,
     "front": front.draw,
 }
+
+WIDTH, COLOURS = 1100, 256
+"""Of a small picture: pixels, of which a page shows 760; with half of the colours, those of two lines become one."""
 
 
 def draw(sweep: SweepResult, axis: str | None = None) -> Figure:
@@ -38,3 +42,17 @@ def draw(sweep: SweepResult, axis: str | None = None) -> Figure:
         raise runs.NotDrawn(str(reason)) from None
     except KeyError as missing:
         raise runs.NotDrawn(f"its tables have no {missing}; --overwrite flies it again") from None
+
+
+def draw_small(sweep: SweepResult) -> bytes:
+    """Return the figure of a sweep as a small WebP."""
+    from PIL import Image
+
+    style.use()
+    drawn, picture = io.BytesIO(), io.BytesIO()
+    draw(sweep).savefig(drawn)
+    image = Image.open(drawn).convert("RGB")
+    size = (WIDTH, round(image.height * WIDTH / image.width))
+    image = image.resize(size, Image.Resampling.LANCZOS).quantize(COLOURS).convert("RGB")
+    image.save(picture, "WEBP", lossless=True)
+    return picture.getvalue()

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from jax_aero.figures import style
 from jax_aero.figures.ablation import SERIES, legend
 from jax_aero.figures.sweeps import require
-from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep.intervals import SHARE, share
+from jax_aero.sweep.result import SweepResult
 
 TIMED = re.compile(r"(?P<kind>.+), (?P<time>[\d.]+) s")
 """Label of a mission: those of one kind have one colour."""

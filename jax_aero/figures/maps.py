@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jax_aero.figures import style
 from jax_aero.figures.sweeps import axis_label, level_label, require, shown_figure
-from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep.result import SweepResult
 
 MOST = {"max_rotation_error_deg": 90.0, "max_com_error": 100.0}
 """Greatest values of the colours; those of other figures of merit have none."""

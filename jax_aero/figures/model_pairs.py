@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from jax_aero.base.result import UPRIGHT
 from jax_aero.figures import style
 from jax_aero.figures.sweeps import require
-from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep.intervals import quantiles
+from jax_aero.sweep.result import SweepResult
 
 BALANCED = 45.0
 """Greatest rotation error of a completed flight that counts as balanced [deg]."""

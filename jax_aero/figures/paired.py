@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from jax_aero.figures import style
 from jax_aero.figures.sweeps import level_label
-from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep.paired import COLUMNS, differences
+from jax_aero.sweep.result import SweepResult
 
 HEIGHT, WIDTH = 0.3, 22
 """Of a row [inches], and of a panel's label beside long names of levels [characters]."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from jax_aero.figures import style
 from jax_aero.figures.sweeps import require
-from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep.result import SweepResult
 
 KINDS = (
     ("completed", style.SKY),

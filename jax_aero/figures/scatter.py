@@ -10,7 +10,7 @@ from jax_aero.base.result import LOST
 from jax_aero.figures import style
 from jax_aero.figures.ablation import SERIES
 from jax_aero.figures.sweeps import axis_label, require, shown_figure
-from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep.result import SweepResult
 
 
 def draw(sweep: SweepResult) -> Figure:

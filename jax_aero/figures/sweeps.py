@@ -13,9 +13,9 @@ from jax_aero.base import documents, quantities
 from jax_aero.base.quantities import Shown
 from jax_aero.base.terminal import Refused
 from jax_aero.figures.runs import MissingRun, NotDrawn
-from jax_aero.results import sweep as results
-from jax_aero.results.sweep import SweepResult
 from jax_aero.sweep import populations
+from jax_aero.sweep import result as results
+from jax_aero.sweep.result import SweepResult
 
 
 def load(folder: Path, name: str, of: Sequence[str] = ()) -> SweepResult:

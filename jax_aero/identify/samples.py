@@ -28,7 +28,7 @@ MEASURED = (*NOISY, "joint_torque")
 """Signals without which there are no samples; `raw_wind` may be missing."""
 BRIDGED = (0.05, 3.0)
 """Gaps between rows that are interpolated: of that time [s], or that many steps."""
-KEPT = 0.5
+LEAST_SHARE = 0.5
 """Least share of the samples in flight that a log keeps."""
 LEAST = 3.0
 """Least time of flight that a log needs [s]."""

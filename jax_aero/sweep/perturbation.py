@@ -53,7 +53,7 @@ STREAMS = (
 )
 """Kinds of draws; the index is the number of the random stream, so new kinds are appended at the end."""
 
-KEPT_DRAWS = 256
+MOST_DRAWS = 256
 """Draws that are kept for the next cells of a repeat."""
 
 PARTS = {
@@ -217,12 +217,12 @@ def _stream(seed: int, number: int, kind: str) -> np.random.Generator:
 
 
 # The flights of a chunk, neighbours in repeat and cell, have few draws between them; a generator is made in 10 us.
-@lru_cache(KEPT_DRAWS)
+@lru_cache(MOST_DRAWS)
 def _uniform(seed: int, repeat: int, kind: str, count: int) -> NDArray[np.float64]:
     return _stream(seed, repeat, kind).uniform(-1.0, 1.0, count)
 
 
-@lru_cache(KEPT_DRAWS)
+@lru_cache(MOST_DRAWS)
 def _seeds(seed: int, repeat: int) -> tuple[int, ...]:
     """Return the seeds of the tables of `CHANCE`."""
     stream = _stream(seed, repeat, "seeds")

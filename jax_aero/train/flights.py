@@ -145,7 +145,7 @@ def flight_of(
     time = signals["time"]
     left_out = samples.left_out(signals, crate)
     stuck = _stuck(wind, step)
-    if stuck.mean() > samples.KEPT:
+    if stuck.mean() > samples.LEAST_SHARE:
         what = f"`raw_wind` of `{name}` does not change in {100.0 * stuck.mean():.0f} % of its ticks"
         raise Refused(f"{what}; expected a measurement (a stuck anemometer?), or turbulence")
     if np.nanquantile(np.linalg.norm(air, axis=1), 0.9) < WIND_LEAST:

@@ -44,7 +44,7 @@ FOLDER = CONFIGS / "experiments"
 
 NETWORKS = CONFIGS / "aero/networks"
 
-KEPT = (
+INCLUDED = (
     "aero/*.toml",
     "control/aero_aware.toml",
     "control/observer.toml",
@@ -123,7 +123,7 @@ def _built(path: Path) -> bytes:
 def simulator_table(config: rust.Config, networks: bool, folders: Sequence[Path]) -> dict[str, Any]:
     """Return simulator and configuration, with the files in some folders that it and the page's choices name."""
     placed = copy.deepcopy(config)
-    files = [path for kept in KEPT for path in sorted(CONFIGS.glob(kept))]
+    files = [path for included in INCLUDED for path in sorted(CONFIGS.glob(included))]
     for key in rust.path_keys(config):
         path = Path(get(config, key))
         if path.is_file():  # the simulator names one that is not

@@ -21,7 +21,7 @@ from docs import hooks
 from experiments.report.page import table, to_html
 from jax_aero import air, env, env_gym, rust, sim
 from jax_aero.commands import study as studies
-from jax_aero.results import kept
+from jax_aero.stored import kept
 from tests.browser import CHROMIUM, SLOWEST, open_chromium
 
 ROOT = Path(__file__).resolve().parents[2]

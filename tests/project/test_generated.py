@@ -11,7 +11,7 @@ from experiments.tools import generated
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.figures.catalogue import FIGURES
-from jax_aero.results import kept
+from jax_aero.stored import kept
 
 ROOT = Path(__file__).resolve().parents[2]
 

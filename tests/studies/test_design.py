@@ -54,7 +54,7 @@ def test_the_trim_balances_the_robot(tmp_path, measured):
     robot = rust.Robot(path)
     measured("thrust over weight", abs(trim.thrust.sum() / (robot.mass * robot.gravity) - 1.0), 0.2)
     own = rust.load_config(campaign.BASE)["controller"]
-    assert all(get(config["controller"], key) == get(own, key) for key in robots.KEPT)
+    assert all(get(config["controller"], key) == get(own, key) for key in robots.OF_MK3)
     assert config["controller"]["momentum"]["c0"] != own["momentum"]["c0"]
 
 

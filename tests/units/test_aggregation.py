@@ -10,11 +10,11 @@ from experiments.report import judge, stored
 from experiments.report.judge import Kind
 from experiments.report.measures import results
 from jax_aero.base.result import LOST, UPRIGHT
-from jax_aero.results import keep, kept
-from jax_aero.results.kept import Axis, Kept
-from jax_aero.results.sweep import SweepResult
+from jax_aero.stored import keep, kept
+from jax_aero.stored.kept import Axis, Kept
 from jax_aero.sweep import aggregate, columns, intervals, listing, populations, table
 from jax_aero.sweep.criteria import Criterion, Share
+from jax_aero.sweep.result import SweepResult
 from jax_aero.sweep.spec import from_table
 
 AXIS = {"name": "speed", "key": "wind.speed", "values": [0.0, 10.0, 18.0]}
@@ -48,7 +48,7 @@ def both_ways(flights, cells):
     ]
     named = {"name": "made_up", "result": "", "title": "", "command": "", "created": "", "commit": None, "digest": ""}
     document = Kept(**named, axes=axes, columns=["speed", *aggregate.KEPT], rows=rows)
-    stored = msgspec.json.decode(kept.to_json(document), type=Kept)
+    stored = msgspec.json.decode(keep.to_json(document), type=Kept)
     assert stored.seal == kept.seal_of(stored)
     return SweepResult("made_up", {"axes": []}, folder).rows, stored.sweep.rows
 
@@ -142,7 +142,7 @@ def test_a_kept_file_without_a_population_is_refused(monkeypatch, tmp_path):
         name="old", result="", title="", command="", created="", commit=None, digest="",
         columns=["flights", "rotation_deg_high"], rows=[[10, 5.0]],
     )  # fmt: skip
-    (tmp_path / "old.json").write_text(kept.to_json(document), encoding="utf-8")
+    (tmp_path / "old.json").write_text(keep.to_json(document), encoding="utf-8")
     monkeypatch.setattr(kept, "FOLDER", tmp_path)
     with pytest.raises(kept.Refused, match=r"old\.json has no column `.*`: keep the result again"):
         kept.read("old")

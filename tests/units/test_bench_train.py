@@ -4,7 +4,7 @@ import pytest
 
 from experiments.tools import bench_train as bench
 from jax_aero.base import places
-from jax_aero.results import kept
+from jax_aero.stored import kept
 
 
 def test_a_step_of_the_loop_has_six_operations_per_weight_and_row(monkeypatch):

@@ -6,7 +6,7 @@ import pytest
 
 from experiments.report import blocks
 from jax_aero.base.terminal import Refused
-from jax_aero.results import kept, kept_tables
+from jax_aero.stored import keep, kept
 from tests.units.test_kept import made_up
 
 
@@ -22,7 +22,7 @@ def page(monkeypatch, tmp_path):
         "cases": 2,
     }
     for document in (made_up(), made_up(name="study", rows=[], axes=[], columns=[], summary=study)):
-        (tmp_path / f"{document.name}.json").write_text(kept.to_json(document), encoding="utf-8")
+        (tmp_path / f"{document.name}.json").write_text(keep.to_json(document), encoding="utf-8")
     kept.read.cache_clear()
     yield lambda *lines: blocks.written("\n".join(["# A", "<!-- table", *lines, "-->", "<!-- end -->"]), Path("a.md"))
     kept.read.cache_clear()
@@ -98,4 +98,4 @@ def test_a_block_without_an_end_is_refused():
 
 @pytest.mark.parametrize(("figure", "unit"), [("lean [degree]", "°"), ("lean [deg]", "°"), ("speed [deg/s]", "°/s")])
 def test_degrees_have_one_sign_however_a_figure_spells_them(figure, unit):
-    assert kept_tables._unit(figure) == unit
+    assert kept._unit(figure) == unit

@@ -10,7 +10,7 @@ from msgspec import structs
 from jax_aero import own, rust
 from jax_aero.base.terminal import Refused
 from jax_aero.commands import challenge
-from jax_aero.results import kept, kept_tables
+from jax_aero.stored import kept
 from jax_aero.sweep import table
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.spec import Level
@@ -155,7 +155,7 @@ def test_results_are_shown_beside_the_shipped_ones(tasks, tmp_path, monkeypatch)
     shipped = structs.replace(mine, axes=axes, rows=[["shipped", *row[1:]] for row in mine.rows])
     monkeypatch.setattr(kept, "read", lambda _: shipped)
     both = challenge.beside("mine", {"wind_humanoid_1": [mine]}, {})
-    headings, rows = kept_tables.of_page(both)
+    headings, rows = kept.page_table(both)
     assert [row[0] for row in rows] == ["shipped", "nothing"]
     assert [row[headings.index("share completed + landed")] for row in rows] == ["0 % (0 to 79)"] * 2
 

@@ -17,13 +17,13 @@ from jax_aero.base import places, tables
 from jax_aero.base.result import LOST
 from jax_aero.base.terminal import ConfigError
 from jax_aero.commands.fly import main as fly
-from jax_aero.results import kept
 from jax_aero.results.flight import PAPER_RUNS
-from jax_aero.results.sweep import SweepResult
+from jax_aero.stored import kept
 from jax_aero.sweep import aggregate, columns, spec
 from jax_aero.sweep.criteria import Criterion, Share
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
+from jax_aero.sweep.result import SweepResult
 
 CLAIMS = paper._table().claim
 

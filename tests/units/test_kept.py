@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.report import kept_pages, paper, stored
+from experiments.report import paper, stored
 from experiments.report.judge import Kind
 from jax_aero import backends
 from jax_aero.base.result import UPRIGHT
 from jax_aero.base.terminal import Refused
-from jax_aero.results import keep, kept, kept_tables, manifest
-from jax_aero.results.kept import Axis, Kept
+from jax_aero.results import manifest
+from jax_aero.stored import keep, kept
+from jax_aero.stored.kept import Axis, Kept
 from jax_aero.sweep import aggregate, spec
 from jax_aero.sweep.columns import FLIGHT
 from jax_aero.sweep.design import Design
@@ -131,7 +132,7 @@ def made_up(**more):
 
 
 def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
-    text = kept_pages.page(made_up())
+    text = stored.page(made_up())
     rotation, position = (
         f"{name} error, median of all [{unit}] | {name} error, median of upright [{unit}] | "
         f"{name} error, greatest of upright [{unit}]"
@@ -154,13 +155,13 @@ def test_a_row_counts_every_outcome():
     row = dict(zip(aggregate.KEPT, keep.figures(flown(outcome=ends)).values(), strict=True))
     assert (row["lost"], row["rotation_error_deg_worst_of_upright"]) == (6, pytest.approx(2.0))
     document = made_up(axes=[], columns=list(row), rows=[list(row.values())], shows=[])
-    (shown,) = kept_tables.of_page(document)[1]
+    (shown,) = kept.page_table(document)[1]
     assert shown == [f"{count} of 8" for count in (1, 1, 1, 1, 2, 2)]
 
 
 def test_what_is_kept_is_read_again(tmp_path, monkeypatch):
     document = made_up()
-    (tmp_path / "made_up.json").write_text(kept.to_json(document), encoding="utf-8")
+    (tmp_path / "made_up.json").write_text(keep.to_json(document), encoding="utf-8")
     monkeypatch.setattr(kept, "FOLDER", tmp_path)
     kept.read.cache_clear()
     assert kept.read("made_up") == msgspec.structs.replace(document, seal=kept.seal_of(document))
@@ -204,7 +205,7 @@ def test_a_sealed_row_that_contradicts_itself_is_refused(name, tmp_path, monkeyp
         if rows[row][place] is None:
             continue
         rows[row][place] = change(rows[row][place])
-        (tmp_path / f"{name}.json").write_text(kept.to_json(msgspec.structs.replace(document, rows=rows)), "utf-8")
+        (tmp_path / f"{name}.json").write_text(keep.to_json(msgspec.structs.replace(document, rows=rows)), "utf-8")
         kept.read.cache_clear()
         with pytest.raises(Refused, match="contradicts itself"):
             kept.read(name)
@@ -234,12 +235,12 @@ def test_a_kept_verdict_is_that_of_its_rows_by_the_present_claims_of_the_present
 
 def test_cases_with_the_same_figures_are_a_table():
     summary = {"a": {"rms": 0.5, "n": 3}, "b": {"rms": 0.25}, "c, d: rms": 0.125, "mass [kg]": 4.61}
-    text = kept_pages.page(made_up(rows=[], summary=summary))
+    text = stored.page(made_up(rows=[], summary=summary))
     assert "| | rms | n |\n|---|---|---|\n| a | 0.5000 | 3 |" in text
     assert "| | rms |\n|---|---|\n| b | 0.2500 |\n| c, d | 0.1250 |" in text
     assert "| mass | 4.610 kg |" in text
     # Where a page chooses the cases, one that lacks a figure has an empty cell.
-    _, cells = kept_tables.of_study(made_up(rows=[], summary=summary), ["rms", "n"], ["a", "b"])
+    _, cells = kept.study_table(made_up(rows=[], summary=summary), ["rms", "n"], ["a", "b"])
     assert cells == [["a", "0.50", "3"], ["b", "0.25", ""]]
 
 

@@ -30,13 +30,14 @@ from jax_aero.base.references import file_hash
 from jax_aero.cfd.settings import FlowConfig
 from jax_aero.cli import main
 from jax_aero.data import battery
-from jax_aero.results import manifest, outdated, record
+from jax_aero.results import manifest, record
 from jax_aero.results.flight import identity_of
 from jax_aero.results.identity import Identity
-from jax_aero.results.sweep import SweepResult
+from jax_aero.stored import outdated
 from jax_aero.sweep import run, spec
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
+from jax_aero.sweep.result import SweepResult
 
 
 def cell(index, flights, completed, on_course, rotation=5.0, **labels):

@@ -24,8 +24,9 @@ from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, re
 from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import Refused
 from jax_aero.figures import runs, sweeps
-from jax_aero.results import keep, record
+from jax_aero.results import record
 from jax_aero.results.identity import Identity
+from jax_aero.stored import keep
 from jax_aero.view import recording
 
 # --- NetCDF

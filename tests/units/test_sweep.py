@@ -25,10 +25,11 @@ from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import Refused
 from jax_aero.cli import main
 from jax_aero.commands import sweep as command
-from jax_aero.results import identity, outdated
-from jax_aero.results import sweep as sweep_results
+from jax_aero.results import identity
+from jax_aero.stored import outdated
 from jax_aero.sweep import aggregate, cluster, columns, keys, run, spec, table
 from jax_aero.sweep import design as designs
+from jax_aero.sweep import result as sweep_results
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
 from jax_aero.sweep.perturbation import PARTS, Perturbation, members, perturbed

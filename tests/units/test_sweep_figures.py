@@ -18,7 +18,7 @@ from jax_aero.figures.drawings import DRAWINGS
 from jax_aero.figures.scatter import correlations
 from jax_aero.figures.sweeps import axis_label, load
 from jax_aero.results.identity import Identity
-from jax_aero.results.sweep import SweepResult
+from jax_aero.sweep.result import SweepResult
 
 AXES = {
     "world": {"name": "world", "label": "world", "unit": "", "levels": ["side", "ahead"]},

@@ -44,7 +44,7 @@ carries them (splay turns a thrust inwards, tilt forwards), and on lengths and t
 balances. Mass and force areas of a limb go with its length, the turbine with its jet."""
 LIMBS = {"upper_arm": ("shoulder_2", "upper_arm"), "leg": ("hip_2", "upper_leg", "lower_leg")}
 LEG = ("hip_1", "hip_2", "upper_leg", "lower_leg", "ankle_1", "ankle_2")
-KEPT = ("aero.coefficients", "fault_detection.latency.torque_max", "mpc.descent.attitude", "torque.torque_rate_max")
+OF_MK3 = ("aero.coefficients", "fault_detection.latency.torque_max", "mpc.descent.attitude", "torque.torque_rate_max")
 """What iRonCub-Mk3's controller has that no rule gives."""
 CLEARANCE, PLUME = 0.03, 1.0
 """Least distance from the axis of an exhaust to a link, and length of the axis [m], as in iRonCub-Mk3's own trim."""
@@ -243,7 +243,7 @@ def fit(path: Path, base: rust.Config) -> tuple[Trim, rust.Config]:
     leans = (down, down + float(np.ptp(own["setpoint"]["nose_down_limits_deg"])))
     dynamics, soles = rust.dynamics(robot, state), ("l_sole", "r_sole")
     controller = scenario.controller("robot", load_robot(path), dynamics, leans=leans, soles=soles)
-    for key in KEPT:
+    for key in OF_MK3:
         keys.set_key(controller, key, keys.get(own, key))
     start = {"base_rpy_deg": np.degrees(trim.base_rpy), "joint_position": trim.joint_position, "thrust": trim.thrust}
     start = initial | {key: values.tolist() for key, values in start.items()}

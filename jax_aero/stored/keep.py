@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 
@@ -23,11 +26,12 @@ from jax_aero.base import documents, places
 from jax_aero.base.arguments import Parser, complete_with
 from jax_aero.base.files import read_json, write_text
 from jax_aero.base.terminal import Refused, exit_status
-from jax_aero.results import kept, outdated, sweep
+from jax_aero.results import manifest
 from jax_aero.results.identity import numerics_of
-from jax_aero.results.kept import Axis, Kept
-from jax_aero.results.outdated import ANOTHER
-from jax_aero.sweep import aggregate, run, spec
+from jax_aero.stored import kept, outdated
+from jax_aero.stored.kept import Axis, Kept
+from jax_aero.stored.outdated import ANOTHER
+from jax_aero.sweep import aggregate, result, run, spec
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.perturbation import perturbed
 from jax_aero.sweep.spec import Spec
@@ -49,8 +53,7 @@ def main(arguments: Sequence[str]) -> int:
         for folder in _chosen(given):
             if folder.is_dir() and (difference := outdated.result(folder.parent.name, folder)):
                 raise Refused(f"{os.path.relpath(folder)} is {ANOTHER} ({difference})")
-            document = of_folder(folder, given.named)
-            write_text(kept.FOLDER / f"{document.name}.json", kept.to_json(document))
+            _write(of_folder(folder, given.named))
 
     return exit_status(work)
 
@@ -100,6 +103,26 @@ def of_folder(folder: Path, named: str | None = None) -> Kept:
     )
 
 
+def benchmark(name: str, title: str, about: str, command: str, found: Mapping[str, Mapping[str, float]]) -> None:
+    """Keep what a benchmark found."""
+    document = Kept(
+        name=name,
+        result=f"bench/{name}",
+        title=title,
+        about=about,
+        command=command,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        commit=_commit({"git": manifest.git_state()}),
+        digest="",
+        summary=_shorten(found),
+    )
+    _write(document)
+
+
+def _write(document: Kept) -> None:
+    write_text(kept.FOLDER / f"{document.name}.json", to_json(document))
+
+
 def _commit(document: Mapping[str, Any]) -> str | None:
     """Return the commit whose code made a result; `None` if it was changed, or is unknown."""
     git = document["git"] or {}
@@ -108,8 +131,8 @@ def _commit(document: Mapping[str, Any]) -> str | None:
 
 def of_sweep(folder: Path, named: str | None = None) -> Kept:
     """Return what is kept of a finished sweep: rows of flights, and the findings of its claims."""
-    result = sweep.read(folder)
-    document = result.document
+    flown = result.read(folder)
+    document = flown.document
     if document["backend"] == "jax":
         raise Refused(f"{os.path.relpath(folder)} is flown by JAX, which does not say what fault detection finds")
     asked = spec.load(folder.name) if folder.name in places.names("sweeps") else None
@@ -118,7 +141,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     whole = [Axis(axis["name"], axis["label"], axis["unit"], axis["levels"]) for axis in document["axes"]]
     second = [whole[1].name] if is_paired else []
     axes = [axis for axis in whole if not is_sampled and axis.name not in (*tabled.pooled, *second)]
-    flights = result.flights.copy()
+    flights = flown.flights.copy()
     flights["onset"] = flights["cell"].map(_onsets(asked, document["config_digest"]))
     firsts = list(_firsts(Design(asked), flights)) if asked else []  # others cannot be flown again
     flights = flights[flights["outcome"] != "error"]
@@ -229,3 +252,14 @@ def _shorten(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _shorten(item) for key, item in value.items()}
     return [_shorten(item) for item in value] if isinstance(value, list) else value
+
+
+def to_json(document: Kept) -> str:
+    """Return a kept result as JSON, sealed, with a line for each row."""
+    sealed = msgspec.to_builtins(msgspec.structs.replace(document, seal=kept.seal_of(document)))
+    tables = {name: sealed.pop(name) for name in ("rows", "firsts") if name in sealed}
+    text = json.dumps(sealed, indent=1, ensure_ascii=False)
+    for name, rows in tables.items():
+        lines = ",\n".join(f"  {json.dumps(row, ensure_ascii=False)}" for row in rows)
+        text = f'{text[:-2]},\n "{name}": [\n{lines}\n ]\n}}'
+    return f"{text}\n"
