@@ -36,10 +36,10 @@ from jax_aero import config, rust
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.axisymmetric import Axisymmetric
 from jax_aero.base import places, typed_config
+from jax_aero.body.mujoco_model import mjx as mjx
+from jax_aero.body.mujoco_model import mujoco_spec
 from jax_aero.body.robot import AeroLinks, RobotModel, load_robot
 from jax_aero.body.spatial import cross
-from jax_aero.mujoco.model import mjx as mjx
-from jax_aero.mujoco.model import mujoco_spec
 from jax_aero.types import Array, Kinematics, leaf, pytree, static
 
 __all__ = [

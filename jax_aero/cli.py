@@ -116,7 +116,7 @@ def function_of(command: str) -> Callable[[Sequence[str]], int | None]:
         case "data import-pressures":
             from jax_aero.data import import_pressures as module
         case "data fit-aero":
-            from jax_aero.data import fit_aero as module
+            from jax_aero.train import fit_aero as module
         case "train":
             from jax_aero.commands import train as module
         case "train ensemble":

@@ -1,6 +1,6 @@
 """The Rust crate as a Python library: NumPy arrays in and out, SI units and radians.
 
-This is the only module that imports the compiled `jax_aero._core`.
+This module and `jax_aero.base.crate`, whose names it has too, import the compiled `jax_aero._core`.
 
 Examples
 --------
@@ -23,15 +23,12 @@ One state, one tick, every intermediate value:
 
 from __future__ import annotations
 
-import functools
-import json
 import math
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from os import PathLike
-from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -41,20 +38,38 @@ from jax_aero import _core, own
 from jax_aero._core import (
     BoxQpSolver,
     ControllerState,
-    Robot,
     __version__,
     kkt_residual,
     normals,
     read_network,
     read_policy,
-    read_urdf,
     uniforms,
 )
-from jax_aero.base.keys import parts
-from jax_aero.base.places import find
-from jax_aero.base.plain_values import to_builtins
+from jax_aero.base.crate import (
+    Config,
+    Quantity,
+    Robot,
+    check_config,
+    check_table,
+    config_digest,
+    figures,
+    load_aero,
+    load_config,
+    load_controller,
+    load_onboard,
+    path_keys,
+    read_table,
+    read_toml,
+    read_urdf,
+    resolve_aero,
+    resolve_config,
+    schemas,
+    set_keys,
+    signals,
+    to_json,
+)
 from jax_aero.base.result import FlightResult, brief
-from jax_aero.base.terminal import ConfigError, Progress
+from jax_aero.base.terminal import Progress
 from jax_aero.body import spatial
 
 __all__ = [
@@ -140,9 +155,6 @@ NUMERICS: int = _core.NUMERICS
 """Version of the crate's numbers: flights of another one may have other bits."""
 SETTLING_TIME: float = _core.SETTLING_TIME
 """Time from which on figures of merit count the position error [s]."""
-
-Config = dict[str, Any]
-"""A resolved flight configuration: nested tables of plain values, including every default."""
 
 
 class State(NamedTuple):
@@ -482,7 +494,7 @@ class Controller:
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        self._config = _to_json(config)
+        self._config = to_json(config)
         self._core = _core.Controller(self._config)
 
     @property
@@ -729,9 +741,9 @@ class Flight:
         controller: Callable[[Measurement], Command] | None = None,
         robot: Robot | None = None,
     ) -> None:
-        text = _to_json(config)
+        text = to_json(config)
         if config.get("own_controller"):
-            text = _to_json({key: value for key, value in config.items() if key != "own_controller"})
+            text = to_json({key: value for key, value in config.items() if key != "own_controller"})
         self._core = _core.Flight(text, None if world is None else _World(world), robot)
         has_own = controller is None and config.get("own_controller")
         self._controller: Callable[[Measurement], Any] | None = (
@@ -842,66 +854,6 @@ class Flight:
         return self.result()
 
 
-def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
-    """Read a flight configuration, merge its base files, apply overrides, and check it.
-
-    Parameters
-    ----------
-    path
-        The name of an experiment, such as `test2`, or the path of a TOML file. A file anywhere reads as if it stood in
-        `configs/experiments`: `base = "test2"`, and every path in it, means a file beside it, or else one from there.
-    overrides
-        Values by dotted key, such as `{"wind.velocity": [0, -12, 0]}`; arrays and paths are also accepted. Paths start
-        at the current folder, and `false` removes what may be absent.
-
-    Raises
-    ------
-    ConfigError
-        If a file or value is invalid; it has file, key, value, what was expected and suggestions as attributes.
-    """
-    return _parsed(_core.load_config(find("experiments", path), _changes(overrides or {})))
-
-
-def check_config(config: Mapping[str, Any]) -> None:
-    """Raise `ConfigError`, naming key, value and what was expected, unless the configuration can be flown."""
-    _core.check_config(_to_json(config))
-
-
-def resolve_config(config: Mapping[str, Any]) -> Config:
-    """Return a configuration with every default; raise `ConfigError` for keys and values that no flight may have."""
-    return _parsed(_core.resolve_config(_to_json(config)))
-
-
-def set_keys(config: Mapping[str, Any], changes: Mapping[str, Any]) -> Config:
-    """Return a configuration with dotted keys set as by `load_config`, without a check of the result."""
-    return _parsed(_core.set_keys(_to_json(config), _changes(changes)))
-
-
-def path_keys(config: Mapping[str, Any]) -> list[str]:
-    """Return the dotted keys of all paths in a configuration, which need not be valid."""
-    return _core.path_keys(_to_json(config))
-
-
-def load_aero(path: str | PathLike[str]) -> Config:
-    """Read an aerodynamic model's configuration, by its name in `configs/aero` or the path of a file."""
-    return _parsed(_core.load_table("aero", find("aero", path)))
-
-
-def load_controller(path: str | PathLike[str]) -> Config:
-    """Read a controller's configuration, by its name in `configs/control` or the path of a file."""
-    return _parsed(_core.load_table("control", find("control", path)))
-
-
-def load_onboard(path: str | PathLike[str]) -> Config:
-    """Read robot, controller and mission on board, by their name in `configs/onboard` or the path of a file."""
-    return _parsed(_core.load_table("onboard", find("onboard", path)))
-
-
-def resolve_aero(aero: Mapping[str, Any]) -> Config:
-    """Return an aerodynamic model's configuration with every default, as `resolve_config`."""
-    return _parsed(_core.resolve_aero(_to_json(aero)))
-
-
 def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any nonzero length."""
     found: Array = spatial.rotation_from_wxyz(np.asarray(wxyz, dtype=np.float64))
@@ -963,90 +915,6 @@ def read_csv(
     )
 
 
-def read_toml(path: str | PathLike[str]) -> Config:
-    """Read a TOML file, without a check of its keys."""
-    return _parsed(_core.read_toml(path))
-
-
-def read_table(path: str | PathLike[str], schema: Mapping[str, Any], changes: Mapping[str, Any]) -> Config:
-    """Read a TOML file with its base files, set dotted keys as by `load_config`, and check it by a JSON Schema."""
-    return _parsed(_core.read_table(path, _changes(changes), json.dumps(schema)))
-
-
-def check_table(table: Mapping[str, Any], schema: Mapping[str, Any], folder: str | PathLike[str]) -> Config:
-    """Return a table whose paths start at `folder`, as `read_table` does that of a file."""
-    return _parsed(_core.check_table(_to_json(table), folder, json.dumps(schema)))
-
-
-def schemas() -> dict[str, dict[str, Any]]:
-    """Return the JSON Schemas of the crate's configuration files, by folder of `configs/`."""
-    return _parsed(_core.schemas())
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """Declaration of a signal of the log, or of a figure of merit.
-
-    Attributes
-    ----------
-    label
-        Name in plots and tables.
-    dims
-        Names of its dimensions; without "time" it has one value for the flight.
-    unit, meaning
-        Unit and description, as in result files.
-    shown
-        Unit in which it is shown; empty for the usual one.
-    numbers
-        What its values are: "real", "integer", "code", or "bits" for sums of them.
-    codes
-        What codes and bits stand for, by name.
-    is_of_ground
-        Whether only engines with ground contact have it.
-    is_tabled
-        Whether tables of flights show it.
-    is_error
-        Whether it is an error, of which a lost flight counts as having the greatest.
-    """
-
-    label: str
-    dims: tuple[str, ...]
-    unit: str
-    shown: str
-    meaning: str
-    numbers: str
-    codes: Mapping[str, int]
-    is_of_ground: bool
-    is_tabled: bool
-    is_error: bool
-
-
-def _declared(declarations: str) -> Mapping[str, Quantity]:
-    found = {}
-    for row in json.loads(declarations):
-        name, label = row.pop("name"), row.pop("label")
-        codes = {meaning: code for code, meaning in row.pop("codes")}
-        found[name] = Quantity(label or name.replace("_", " "), tuple(row.pop("dims")), codes=codes, **row)
-    return MappingProxyType(found)
-
-
-@functools.cache
-def signals() -> Mapping[str, Quantity]:
-    """Return the declarations of all signals by name."""
-    return _declared(_core.signals())
-
-
-@functools.cache
-def figures() -> Mapping[str, Quantity]:
-    """Return the declarations of all figures of merit by name."""
-    return _declared(_core.figures())
-
-
-def config_digest(config: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of the configuration and the files that it names, equal on every machine."""
-    return _core.config_digest(_to_json(config))
-
-
 def fly(config: Mapping[str, Any], progress: Progress | None = None) -> FlightResult:
     """Fly one configuration to its end or until the flight is lost. Ctrl-C interrupts it.
 
@@ -1055,7 +923,7 @@ def fly(config: Mapping[str, Any], progress: Progress | None = None) -> FlightRe
     ValueError
         For a flight that cannot be flown, or cannot begin with its first measurement.
     """
-    text = _to_json(config)
+    text = to_json(config)
     if config.get("own_controller"):
         return Flight(config).run(progress)
     return FlightResult(**_core.fly(text, progress))
@@ -1080,7 +948,7 @@ def replay(config: Mapping[str, Any], log: Mapping[str, ArrayLike]) -> dict[str,
         begin with.
     """
     inputs = {name: value for name, value in log.items() if is_input(name)}
-    return _core.replay(_to_json(config), {name: _array(value) for name, value in inputs.items()})
+    return _core.replay(to_json(config), {name: _array(value) for name, value in inputs.items()})
 
 
 def summarise(log: Mapping[str, ArrayLike], joint_setpoint: ArrayLike) -> dict[str, float]:
@@ -1120,7 +988,7 @@ def fly_batch(
     if threads is not None and threads < 1:
         raise ValueError(f"`threads` is {threads}; expected at least 1, or None for one per core")
     configs = list(configs)
-    texts = [_to_json(config) for config in configs]
+    texts = [to_json(config) for config in configs]
     if any(config.get("own_controller") for config in configs):
         flown = []
         with ThreadPoolExecutor(threads or os.cpu_count()) as pool:  # of processes that compute the commands
@@ -1195,7 +1063,7 @@ def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: A
     axes, v_air
         Unit symmetry axes and velocities of the air relative to the links [m/s], each (links, 3).
     """
-    return _core.aero_forces(robot, _to_json(aero), _array(axes), _array(v_air))
+    return _core.aero_forces(robot, to_json(aero), _array(axes), _array(v_air))
 
 
 def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: ArrayLike) -> Array:
@@ -1210,7 +1078,7 @@ def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: Array
     wind
         Velocity of the air (3,) [m/s, inertial axes].
     """
-    return _core.link_forces(robot, _to_json(aero), _arrays(state), _array(wind))
+    return _core.link_forces(robot, to_json(aero), _arrays(state), _array(wind))
 
 
 def setpoint_trajectory(config: Mapping[str, Any], com: ArrayLike, rotation: ArrayLike) -> dict[str, Array]:
@@ -1219,17 +1087,17 @@ def setpoint_trajectory(config: Mapping[str, Any], com: ArrayLike, rotation: Arr
     `com` (3,) [m] and `rotation` (3, 3) are the centre of mass and the base rotation of the first tick. Raw roll, pitch
     and yaw are those of the heading frame: forward, left, up.
     """
-    return _core.setpoint_trajectory(_to_json(config), _array(com), _array(rotation))
+    return _core.setpoint_trajectory(to_json(config), _array(com), _array(rotation))
 
 
 def wind_velocity(wind: Mapping[str, Any], times: ArrayLike) -> Array:
     """Return the velocity of the air [m/s, inertial axes], (times, 3), of a wind profile at `times` [s]."""
-    return _core.wind_velocity(_to_json(wind), _array(times))
+    return _core.wind_velocity(to_json(wind), _array(times))
 
 
 def recorded_wind(wind: Mapping[str, Any]) -> Array:
     """Return the samples (k, 4) of a recorded wind: times [s] and velocities [m/s, inertial axes]."""
-    return _core.recorded_wind(_to_json(wind))
+    return _core.recorded_wind(to_json(wind))
 
 
 def recorded_reference(path: str | PathLike[str]) -> Array:
@@ -1259,18 +1127,6 @@ def _tick(raw: dict[str, Any]) -> Tick:
     )
 
 
-class _Table(Config):
-    """A configuration that is shown in a line for each of its tables."""
-
-    def __repr__(self) -> str:
-        lines = (f"{key}: {value}" for key, value in self.items())
-        return "\n".join(line if len(line) <= 100 else f"{line[:99]}…" for line in lines)
-
-
-def _parsed(text: str) -> Config:
-    return _Table(json.loads(text))
-
-
 def _array(value: ArrayLike) -> Array:
     return np.ascontiguousarray(value, dtype=np.float64)
 
@@ -1282,20 +1138,3 @@ def _numbers(setpoint: Setpoint) -> dict[str, Array]:
 def _arrays(state: State) -> tuple[Array, Array, Array, Array]:
     position, rotation, joints, velocity = state
     return _array(position), _array(rotation), _array(joints), _array(velocity)
-
-
-def _changes(changes: Mapping[str, Any]) -> str:
-    return json.dumps([[key, json.loads(_to_json(value, key))] for key, value in changes.items()])
-
-
-def _to_json(value: Any, key: str = "") -> str:
-    """Return a configuration, or the value of a key, as JSON."""
-    if isinstance(value, str | PathLike) and not key:
-        raise ConfigError.of("", str(value), f"a table, such as load_config({str(value)!r}) returns")
-    plain = to_builtins(value)
-    try:
-        return json.dumps(plain, allow_nan=False)
-    except ValueError:
-        numbers = ((name, part) for name, part in parts(plain, key) if isinstance(part, float))
-        name, number = next(one for one in numbers if not math.isfinite(one[1]))
-        raise ConfigError.of(name, number, "a finite number") from None

@@ -27,11 +27,11 @@ from jax_aero import rust
 from jax_aero.base import files, places
 from jax_aero.base.arguments import count
 from jax_aero.base.terminal import REFUSED, Refused
+from jax_aero.body import mujoco_model as mujoco
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.body.spatial import rotation_from_wxyz
-from jax_aero.mujoco import model as mujoco
 from jax_aero.results import manifest
 from jax_aero.results.study import listing
 from jax_aero.stored import keep

@@ -16,6 +16,9 @@ from jax_aero.body.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.body.robot import RobotModel
 from jax_aero.types import Array
 
+NEWTON_METRES = 0.5 * 1.225 * 10.0**2
+"""Moment per moment volume of 1 m³ at 10 m/s [N m]."""
+
 
 class LinkFrames(NamedTuple):
     """Frames of the aerodynamic links relative to the base, for each posture."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import xarray as xr
 
-from jax_aero import rust
+from jax_aero.base import crate
 from jax_aero.base.quantities import attributes_of
 from jax_aero.base.result import ending
 
@@ -77,7 +77,7 @@ def aero_force_difference(flight: xr.Dataset) -> xr.DataArray:
 
 def _as(figure: str, label: str) -> dict[str, str]:
     """Return the attributes of a figure of merit for the quantity whose extreme it is."""
-    return attributes_of(rust.figures()[figure]) | {"label": label}
+    return attributes_of(crate.figures()[figure]) | {"label": label}
 
 
 def _norm(vectors: xr.DataArray) -> xr.DataArray:

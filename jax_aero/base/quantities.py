@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jax_aero.base.crate import Quantity, figures
 from jax_aero.base.terminal import Refused
-from jax_aero.rust import Quantity, figures
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from jax_aero.base.places import did_you_mean
 
 if TYPE_CHECKING:
-    from jax_aero.rust import Robot
+    from jax_aero.base.crate import Robot
 
 Outcome = Literal["completed", "off_course", "landed", "landing", "crashed", "fell", "diverged"]
 """How a flight ended."""

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jax_aero import rust
-from jax_aero.base import netcdf
+from jax_aero.base import crate, netcdf
 from jax_aero.base.quantities import attributes_of
 from jax_aero.base.result import REPEATED
 from jax_aero.base.terminal import Refused
@@ -57,7 +56,7 @@ def _complete(found: xr.Dataset) -> xr.Dataset:
         left_out["raw_height"] = xr.full_like(found["time"], np.nan)
         found = found.assign({name: values for name, values in left_out.items() if name not in found})
     if "rotation_error" in found:
-        for name, signal in rust.signals().items():
+        for name, signal in crate.signals().items():
             if name in found.variables:
                 found[name].attrs.update(attributes_of(signal))
     return found

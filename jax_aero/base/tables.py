@@ -24,7 +24,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar, cast
 
 import msgspec
 
-from jax_aero import rust
+from jax_aero.base import crate
 from jax_aero.base.terminal import ConfigError
 
 T = TypeVar("T")
@@ -69,19 +69,19 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 def read(path: Path) -> dict[str, Any]:
     """Read a TOML file, without a check of its keys, which have the order of the file."""
-    return rust.read_toml(path)
+    return crate.read_toml(path)
 
 
 def load(path: Path, kind: type[T], changes: Mapping[str, Any] | None = None) -> T:
     """Read a file into its type, with some dotted keys replaced as by `rust.load_config`."""
-    table = rust.read_table(path, schema(kind), changes or {})
+    table = crate.read_table(path, schema(kind), changes or {})
     return _typed(_in_order_of(read(path), table), kind, str(path))
 
 
 def convert(table: Mapping[str, Any], kind: type[T], origin: str, folder: Path = Path()) -> T:
     """Convert a plain table to its type; `origin` names it in refusals, and its paths are relative to `folder`."""
     try:
-        plain = rust.check_table(table, schema(kind), folder)
+        plain = crate.check_table(table, schema(kind), folder)
     except ConfigError as refusal:
         raise refusal.in_file(origin) from None
     return _typed(_in_order_of(table, plain), kind, origin)

@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from jax_aero import rust
+from jax_aero.base import crate
 from jax_aero.base.keys import get, set_key
 from jax_aero.base.places import HOME
 from jax_aero.config import AeroConfig, ScenarioConfig
@@ -29,7 +29,7 @@ def scenario_config(config: Mapping[str, Any]) -> ScenarioConfig:
     ConfigError
         If a key or value is invalid; whether the flight can be flown is checked by `rust.check_config`.
     """
-    return msgspec.convert(rust.resolve_config(config), ScenarioConfig)
+    return msgspec.convert(crate.resolve_config(config), ScenarioConfig)
 
 
 def aero_config(aero: Mapping[str, Any]) -> AeroConfig:
@@ -40,7 +40,7 @@ def aero_config(aero: Mapping[str, Any]) -> AeroConfig:
     ConfigError
         If a key or value is invalid.
     """
-    found: AeroConfig = msgspec.convert(rust.resolve_aero(aero), AeroConfig)
+    found: AeroConfig = msgspec.convert(crate.resolve_aero(aero), AeroConfig)
     return found
 
 
@@ -48,14 +48,14 @@ OUTSIDE, COPIES = "(outside the repository)", "files"
 """What stands in a manifest for the folder of a file outside the repository; the folder of a result with its copy."""
 
 
-def make_paths_absolute(config: Mapping[str, Any], folder: Path | None = None) -> rust.Config:
+def make_paths_absolute(config: Mapping[str, Any], folder: Path | None = None) -> crate.Config:
     """Return a configuration with absolute paths, from one with portable paths, as in a manifest.
 
     They are relative to the repository; files outside it are in `folder`, that of the result, if `copy_outside` has
     copied them.
     """
     placed = copy.deepcopy(dict(config))
-    for key in rust.path_keys(placed):
+    for key in crate.path_keys(placed):
         text = str(get(placed, key))
         path = HOME / text
         if folder is not None and text.startswith(OUTSIDE):
@@ -70,7 +70,7 @@ def copy_outside(config: Mapping[str, Any], folder: Path) -> None:
 
     A robot or a card names further files, and is not copied.
     """
-    for key in rust.path_keys(config):
+    for key in crate.path_keys(config):
         path = Path(get(config, key))
         if make_portable(path).startswith(OUTSIDE) and path.suffix.lower() not in {".toml", ".json", ".urdf"}:
             (folder / COPIES).mkdir(exist_ok=True)

@@ -30,7 +30,7 @@ def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Dynamics
         case "tree":
             mass_matrix, bias = _tree_mass_matrix_and_bias(robot, state, kin)
         case "mjx":
-            from jax_aero.mujoco.model import mass_matrix_and_bias  # MuJoCo is loaded only when needed
+            from jax_aero.body.mujoco_model import mass_matrix_and_bias  # MuJoCo is loaded only when needed
 
             mass_matrix, bias = mass_matrix_and_bias(robot, state)
         case _:

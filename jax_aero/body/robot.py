@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero import rust
+from jax_aero.base import crate
 from jax_aero.types import Array, pytree, static
 
 ENGINE_KEYS = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu", "c", "throttle_min", "throttle_max")
@@ -186,6 +186,6 @@ def load_robot(path: str | PathLike[str]) -> RobotModel:
         If a value is invalid; the message names the file, the key, its value and what was expected.
     """
     source = Path(path).resolve()
-    fields = rust.Robot(source).arrays()
+    fields = crate.Robot(source).arrays()
     fields |= {"jets": Jets(**fields["jets"]), "aero_links": AeroLinks(**fields["aero_links"])}
     return RobotModel(source=str(source), **fields)

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero import rust
+from jax_aero.base import crate
 
 Vector: TypeAlias = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ def read_urdf(path: str | PathLike[str]) -> Urdf:
     ValueError
         If a link, joint or shape is invalid; the message names file, item and value.
     """
-    read = rust.read_urdf(path)
+    read = crate.read_urdf(path)
     joints = [Joint(**{**joint, "origin": Pose(*joint["origin"])}) for joint in read["joints"]]
     inertials = {link: Inertial(*numbers) for link, numbers in read["inertials"].items()}
     return Urdf(read["name"], read["links"], inertials, joints, typed_shapes(read["shapes"]), read["unused"])

@@ -16,14 +16,14 @@ import numpy as np
 import xarray as xr
 
 from jax_aero.aero.dataset import Dataset, Floats, Indices, load
-from jax_aero.aero.posture import total_wrench, vector_rms
+from jax_aero.aero.posture import NEWTON_METRES, total_wrench, vector_rms
 from jax_aero.base import tables
 from jax_aero.base.places import ROBOT
 from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.cfd.compute import dataset_of
 from jax_aero.cfd.goals import verdicts
-from jax_aero.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
+from jax_aero.cfd.models import MODEL_FILES, model_areas
 from jax_aero.data.import_cfd import POSTURES
 from jax_aero.data.ironcub import LINKS
 from jax_aero.results.study import Findings, Study

@@ -30,8 +30,6 @@ MODELS = {
 }
 MODEL_FILES = (ROBOT, *(AERO / f"{name}.toml" for name in MODELS.values()))
 """Files that determine the forces of all models, together with the files that these name."""
-NEWTON_METRES = 0.5 * 1.225 * 10.0**2
-"""Moment per moment volume of 1 m³ at 10 m/s [N m]."""
 
 
 def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:

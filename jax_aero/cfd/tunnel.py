@@ -25,14 +25,13 @@ from jax_aero.aero.dataset import (
     tunnel_from_base,
     wind_direction,
 )
-from jax_aero.aero.posture import axes_of, total_wrench
+from jax_aero.aero.posture import NEWTON_METRES, axes_of, total_wrench
 from jax_aero.base import run_file, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.cfd.compute import dataset_of
 from jax_aero.cfd.goals import verdicts
-from jax_aero.cfd.models import NEWTON_METRES
 from jax_aero.results.study import Findings, Study
 
 NEAR = 1.0

@@ -21,8 +21,8 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from jax_aero import rust
+from jax_aero.body.mujoco_model import mujoco_spec, order_of
 from jax_aero.mujoco.leg_odometry import LegOdometry
-from jax_aero.mujoco.model import mujoco_spec, order_of
 
 Array = NDArray[np.float64]
 

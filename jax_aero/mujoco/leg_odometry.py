@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import rust
-from jax_aero.mujoco.model import Order, mujoco_spec, order_of
+from jax_aero.body.mujoco_model import Order, mujoco_spec, order_of
 
 DAMPING = 1e-7
 """Damping of the pseudo-inverse, as published."""

@@ -17,7 +17,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.base.places import CONFIGS
-from jax_aero.mujoco.model import mujoco_model
+from jax_aero.body.mujoco_model import mujoco_model
 from jax_aero.rust import Robot
 
 TOLERANCE = 1e-10

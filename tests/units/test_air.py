@@ -13,9 +13,9 @@ from jax_aero import air, rust
 from jax_aero.aero import LinkConventions, aero_model, generalised_aero_force, link_forces
 from jax_aero.base import places
 from jax_aero.body.kinematics import kinematics
+from jax_aero.body.mujoco_model import mjx, mujoco_model, order_of, to_mujoco
 from jax_aero.body.robot import load_robot
 from jax_aero.config import AxisymmetricAeroConfig, SphereCylinderAeroConfig
-from jax_aero.mujoco.model import mjx, mujoco_model, order_of, to_mujoco
 from jax_aero.types import State
 from tests.measurements import measured
 

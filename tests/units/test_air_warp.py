@@ -10,8 +10,8 @@ import pytest
 
 from jax_aero import air, rust
 from jax_aero.base import places
+from jax_aero.body.mujoco_model import to_mujoco
 from jax_aero.body.robot import load_robot
-from jax_aero.mujoco.model import to_mujoco
 from jax_aero.types import State
 from tests.measurements import measured
 

@@ -9,15 +9,16 @@ import pytest
 import xarray as xr
 
 from jax_aero.aero import dataset as ds
+from jax_aero.aero import posture
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.posture import link_axes, link_frames
 from jax_aero.base import places
 from jax_aero.body.robot import load_robot
-from jax_aero.cfd import models
-from jax_aero.data import fit, fit_aero, import_cfd
+from jax_aero.data import fit, import_cfd
 from jax_aero.data.import_tunnel import MK3, POSTURES_OF_MK3
 from jax_aero.data.ironcub import JOINTS, LINKS, joint_position
 from jax_aero.figures.catalogue import FIGURES
+from jax_aero.train import fit_aero
 from tests.cfd_table import made_up_dataset, modelled_rows, solver_table
 from tests.measurements import measured
 
@@ -122,7 +123,7 @@ def test_a_robot_with_other_links_and_no_published_coefficients_is_fitted(tmp_pa
     left_out = fit_aero.LEFT_OUT
     measured("drag on postures left out", found[f"{left_out}: {fit_aero.ERRORS['drag']}"], 1e-9)
     # Forces are exact, so what is left of the moment are the couples on 16 links.
-    couples = 16e-3 * np.sqrt(3.0) * models.NEWTON_METRES
+    couples = 16e-3 * np.sqrt(3.0) * posture.NEWTON_METRES
     for end in ("", ", 2.5 %", ", 97.5 %"):
         key = f"{left_out}: {fit_aero.ERRORS['moment']}{end}"
         np.testing.assert_allclose(found[key], couples, rtol=1e-6)

@@ -10,10 +10,10 @@ from experiments.report.measures.standing import standing as measure
 from jax_aero import backends, rust
 from jax_aero.base import places
 from jax_aero.base.files import write_netcdf
+from jax_aero.body.mujoco_model import mujoco_model
 from jax_aero.commands.figures import main as draw
 from jax_aero.mujoco import ground
 from jax_aero.mujoco.ground import GroundPlant, begin, fly
-from jax_aero.mujoco.model import mujoco_model
 from jax_aero.results import record
 from jax_aero.rust import MODES
 

@@ -8,8 +8,9 @@ import pytest
 from jax_aero.aero import dataset
 from jax_aero.aero.posture import link_axes
 from jax_aero.body.robot import load_robot
-from jax_aero.data import cfd, fit_aero, import_cfd
+from jax_aero.data import cfd, import_cfd
 from jax_aero.data.ironcub import JOINTS, LINKS, joint_position
+from jax_aero.train import fit_aero
 from tests.cfd_table import CFD_COLUMNS, in_tunnel_axes, modelled_rows, solver_table
 from tests.measurements import measured
 

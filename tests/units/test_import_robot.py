@@ -18,11 +18,11 @@ from jax_aero.base import places, plain_values
 from jax_aero.base.result import FlightResult
 from jax_aero.base.terminal import Refused
 from jax_aero.body import mesh
+from jax_aero.body.mujoco_model import mujoco_model, order_of
 from jax_aero.body.robot import load_robot as load_twin
 from jax_aero.body.urdf import IDENTITY, read_urdf
 from jax_aero.commands import robot as command
 from jax_aero.memory import Growth
-from jax_aero.mujoco.model import mujoco_model, order_of
 from jax_aero.robot import flight, masses, scenario, shapes, skeleton
 from jax_aero.symbolic import load_robot
 

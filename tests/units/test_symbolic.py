@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
 from jax_aero.base import places
-from jax_aero.mujoco.model import mujoco_model
+from jax_aero.body.mujoco_model import mujoco_model
 from jax_aero.symbolic import MomentumModel, load_robot
 from tests.measurements import measured
 

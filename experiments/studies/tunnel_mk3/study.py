@@ -16,11 +16,11 @@ import numpy as np
 import xarray as xr
 
 from jax_aero.aero.dataset import Floats, wind_direction
-from jax_aero.aero.posture import axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
+from jax_aero.aero.posture import NEWTON_METRES, axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
 from jax_aero.base import run_file, tables
 from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.cfd.models import NEWTON_METRES, evaluate_areas
+from jax_aero.cfd.models import evaluate_areas
 from jax_aero.cfd.tunnel import SUPPORT
 from jax_aero.data import fit, tunnel
 from jax_aero.data.import_cfd import OUT

@@ -18,12 +18,12 @@ import numpy as np
 import xarray as xr
 
 from jax_aero.aero.dataset import Floats, tunnel_from_base
-from jax_aero.aero.posture import link_frames, vector_rms
+from jax_aero.aero.posture import NEWTON_METRES, link_frames, vector_rms
 from jax_aero.base import run_file, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
+from jax_aero.cfd.models import MODEL_FILES, model_areas
 from jax_aero.data import tunnel
 from jax_aero.data.import_cfd import OUT
 from jax_aero.data.ironcub import joint_position

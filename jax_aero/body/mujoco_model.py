@@ -5,7 +5,7 @@ here velocities are mixed (both parts in inertial axes) and joints have the orde
 kinematics, composite inertias and Newton–Euler algorithm are used: without contacts, constraints and integrator,
 reverse mode needs no flags.
 
-This module is not part of `sim`, since `dynamics` offers it as a backend.
+It is here since `dynamics` offers it as a backend.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from jax_aero import rust
+from jax_aero.base import crate
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import multiply, rotate_back, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
@@ -48,7 +48,7 @@ def mujoco_spec(source: str) -> Any:
 
     It has no geometry, as nothing of it collides, and the inertias of the crate, since MuJoCo judges every link alone.
     """
-    robot = rust.Robot(source)
+    robot = crate.Robot(source)
     table, numbers = tomllib.loads(robot.toml_text), robot.arrays()
     spec = mujoco.MjSpec.from_string(robot.urdf_text)
     for element in (*spec.geoms, *spec.meshes, *spec.equalities):
@@ -97,7 +97,7 @@ def mujoco_model(source: str) -> Any:
 
 def _contents(source: str) -> tuple[str, str]:
     """Return the present texts of a robot's files, which what is kept of the robot follows."""
-    robot = rust.Robot(source)
+    robot = crate.Robot(source)
     return robot.toml_text, robot.urdf_text
 
 

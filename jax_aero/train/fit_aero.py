@@ -17,11 +17,10 @@ import numpy as np
 import xarray as xr
 
 from jax_aero.aero.dataset import Dataset, Floats, load
-from jax_aero.aero.posture import interval_by_posture, link_axes, total_wrench, vector_rms
+from jax_aero.aero.posture import NEWTON_METRES, interval_by_posture, link_axes, total_wrench, vector_rms
 from jax_aero.base import places, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.cfd.models import NEWTON_METRES
 from jax_aero.data import fit
 from jax_aero.results.study import Findings, Study
 from jax_aero.train.result import held_out_network, training_of
