@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from jax_aero.base import checkout
 from jax_aero.base.arguments import Parser
@@ -20,130 +21,79 @@ from jax_aero.base.terminal import INTERRUPTED as INTERRUPTED
 from jax_aero.base.terminal import REFUSED as REFUSED
 from jax_aero.base.terminal import Refused, missing_package, package_of, refuse, run_with_output
 
-COMMANDS = {
-    "fly": "fly experiments by name: jax-aero fly test2",
-    "sweep": "fly many perturbed flights, and count",
-    "challenge": "fly a controller of yours through wind-humanoid-1",
-    "figures": "draw figures from results",
-    "report": "write all results on one page, or keep some in the documentation",
-    "view": "show a flight in the browser, and fly it again",
-    "export": "write a flight as HTML, MCAP or CSV for other viewers",
-    "replay": "replay a log through the tick of a controller, and compare",
-    "identify": "find a robot's numbers in its own logs",
-    "study": "answer a question: jax-aero study lists them",
-    "air": "force and moment of robot and links by angle and posture",
-    "verify": "compare the Rust crate with JAX",
-    "robot": "make a robot of a URDF, or a mission of waypoints, to fly",
-    "data": "read logs of a turbine, CFD tables and wind-tunnel files, fit coefficients",
-    "train": "train an aerodynamic network of CFD or of flights, several of them, or search for its settings",
-    "cfd": "compute forces of the air with OpenFOAM, verify and compare them",
-}
-"""What each command does."""
 
-NEEDS = {
-    "fly": "figs",
-    "sweep": "sweeps",
-    "challenge": "sweeps",
-    "figures": "figs",
-    "report": "sweeps",
-    "report keep": "sweeps",
-    "view": "view",
-    "view video": "view",
-    "view snapshot": "view",
-    "export": "view,logs",
-    "replay": "logs",
-    "identify": "twin,logs",
-    "study": "view,symbolic",
-    "air": "twin",
-    "verify": "twin",
-    "robot import": "twin,symbolic",
-    "robot waypoints": "sweeps",
-    "data import-bench": "twin",
-    "data import-cfd": "twin",
-    "data import-tunnel": "twin",
-    "data import-pressures": "twin",
-    "data fit-aero": "fit",
-    "train": "train",
-    "train ensemble": "train",
-    "train search": "train",
-    "train flights": "train,logs",
-    "cfd": "twin,sweeps",
-    "cfd verify": "twin,sweeps",
-    "cfd flow": "flow",
-    "cfd compare": "twin,sweeps",
-    "cfd tunnel": "twin,sweeps",
-    "cfd taps": "twin,sweeps",
+class Command(NamedTuple):
+    """A command or sub-command."""
+
+    module: str = ""
+    """Its module, whose function `main` it is, or that of another name after a colon; none if it has parts alone."""
+    needs: str = ""
+    """Extras of the package that it needs."""
+    about: str = ""
+    """What it does; a sub-command says so itself."""
+
+
+COMMANDS = {
+    "fly": Command("jax_aero.commands.fly", "figs", "fly experiments by name: jax-aero fly test2"),
+    "sweep": Command("jax_aero.commands.sweep", "sweeps", "fly many perturbed flights, and count"),
+    "challenge": Command("jax_aero.commands.challenge", "sweeps", "fly a controller of yours through wind-humanoid-1"),
+    "figures": Command("jax_aero.commands.figures", "figs", "draw figures from results"),
+    "report": Command(
+        "experiments.report.command", "sweeps", "write all results on one page, or keep some in the documentation"
+    ),
+    "report keep": Command("jax_aero.stored.keep", "sweeps"),
+    "view": Command("jax_aero.commands.view:view", "view", "show a flight in the browser, and fly it again"),
+    "view video": Command("jax_aero.commands.view:video", "view"),
+    "view snapshot": Command("jax_aero.commands.view:snapshot", "view"),
+    "export": Command(
+        "jax_aero.commands.view:export", "view,logs", "write a flight as HTML, MCAP or CSV for other viewers"
+    ),
+    "replay": Command("jax_aero.commands.replay", "logs", "replay a log through the tick of a controller, and compare"),
+    "identify": Command("jax_aero.commands.identify", "twin,logs", "find a robot's numbers in its own logs"),
+    "study": Command("jax_aero.commands.study", "view,symbolic", "answer a question: jax-aero study lists them"),
+    "air": Command("jax_aero.commands.air", "twin", "force and moment of robot and links by angle and posture"),
+    "verify": Command("jax_aero.commands.verify", "twin", "compare the Rust crate with JAX"),
+    "robot": Command(about="make a robot of a URDF, or a mission of waypoints, to fly"),
+    "robot import": Command("jax_aero.commands.robot", "twin,symbolic"),
+    "robot waypoints": Command("jax_aero.robot.waypoints", "sweeps"),
+    "data": Command(about="read logs of a turbine, CFD tables and wind-tunnel files, fit coefficients"),
+    "data import-bench": Command("jax_aero.data.import_bench", "twin"),
+    "data import-cfd": Command("jax_aero.data.import_cfd", "twin"),
+    "data import-tunnel": Command("jax_aero.data.import_tunnel", "twin"),
+    "data import-pressures": Command("jax_aero.data.import_pressures", "twin"),
+    "data fit-aero": Command("jax_aero.train.fit_aero", "fit"),
+    "train": Command(
+        "jax_aero.commands.train",
+        "train",
+        "train an aerodynamic network of CFD or of flights, several of them, or search for its settings",
+    ),
+    "train ensemble": Command("jax_aero.train.ensemble", "train"),
+    "train search": Command("jax_aero.train.search", "train"),
+    "train flights": Command("jax_aero.train.from_flights", "train,logs"),
+    "cfd": Command(
+        "jax_aero.commands.cfd", "twin,sweeps", "compute forces of the air with OpenFOAM, verify and compare them"
+    ),
+    "cfd verify": Command("jax_aero.cfd.verify", "twin,sweeps"),
+    "cfd flow": Command("jax_aero.cfd.flow", "flow"),
+    "cfd compare": Command("jax_aero.cfd.compare", "twin,sweeps"),
+    "cfd tunnel": Command("jax_aero.cfd.tunnel", "twin,sweeps"),
+    "cfd taps": Command("jax_aero.cfd.taps", "twin,sweeps"),
 }
-"""Extras of the package that each command and sub-command needs."""
+"""Commands, each with its parts."""
+
+PARTS = {
+    name: [words.removeprefix(f"{name} ") for words in COMMANDS if words.startswith(f"{name} ")]
+    for name in COMMANDS
+    if " " not in name
+}
+"""Sub-commands, by command."""
 
 
 def function_of(command: str) -> Callable[[Sequence[str]], int | None]:
     """Return the function of a command or sub-command; its module is imported here, so that no other waits for it."""
-    module: Any
-    match command:
-        case "fly":
-            from jax_aero.commands import fly as module
-        case "sweep":
-            from jax_aero.commands import sweep as module
-        case "challenge":
-            from jax_aero.commands import challenge as module
-        case "figures":
-            from jax_aero.commands import figures as module
-        case "report":
-            module = checkout.load("experiments.report.command")
-        case "report keep":
-            from jax_aero.stored import keep as module
-        case "replay":
-            from jax_aero.commands import replay as module
-        case "identify":
-            from jax_aero.commands import identify as module
-        case "study":
-            from jax_aero.commands import study as module
-        case "air":
-            from jax_aero.commands import air as module
-        case "verify":
-            from jax_aero.commands import verify as module
-        case "robot import":
-            from jax_aero.commands import robot as module
-        case "robot waypoints":
-            from jax_aero.robot import waypoints as module
-        case "data import-bench":
-            from jax_aero.data import import_bench as module
-        case "data import-cfd":
-            from jax_aero.data import import_cfd as module
-        case "data import-tunnel":
-            from jax_aero.data import import_tunnel as module
-        case "data import-pressures":
-            from jax_aero.data import import_pressures as module
-        case "data fit-aero":
-            from jax_aero.train import fit_aero as module
-        case "train":
-            from jax_aero.commands import train as module
-        case "train ensemble":
-            from jax_aero.train import ensemble as module
-        case "train search":
-            from jax_aero.train import search as module
-        case "train flights":
-            from jax_aero.train import from_flights as module
-        case "cfd":
-            from jax_aero.commands import cfd as module
-        case "cfd verify":
-            from jax_aero.cfd import verify as module
-        case "cfd flow":
-            from jax_aero.cfd import flow as module
-        case "cfd compare":
-            from jax_aero.cfd import compare as module
-        case "cfd tunnel":
-            from jax_aero.cfd import tunnel as module
-        case "cfd taps":
-            from jax_aero.cfd import taps as module
-        case "view" | "view video" | "view snapshot" | "export":
-            from jax_aero.commands import view
-
-            return getattr(view, command.split()[-1])  # type: ignore[no-any-return]
-        case _:
-            raise KeyError(command)
-    return module.main  # type: ignore[no-any-return]
+    module, _, name = COMMANDS[command].module.partition(":")
+    load = checkout.load if module.startswith("experiments.") else importlib.import_module
+    return getattr(load(module), name or "main")  # type: ignore[no-any-return]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -161,13 +111,13 @@ def _run(words: Sequence[str]) -> int:
     except FileNotFoundError:
         return refuse("the current folder has been deleted; expected one that is there: cd to another one")
     name, *rest = words or ["help"]
-    if name not in COMMANDS:
+    if name not in PARTS:
         _parser().parse_args(words)
         print(_help())
         return 0 if words else REFUSED
-    if rest and f"{name} {rest[0]}" in NEEDS:
+    if rest and rest[0] in PARTS[name]:
         command = f"{name} {rest.pop(0)}"
-    elif name in NEEDS:
+    elif COMMANDS[name].module:
         command = name
     else:
         return _choose(name, rest)
@@ -176,20 +126,15 @@ def _run(words: Sequence[str]) -> int:
     except ModuleNotFoundError as missing:
         if package_of(missing) in ("", "jax_aero", "experiments", "paper_figs"):
             raise  # no extra brings a module of ours
-        return refuse(missing_package(f"`{name}`", missing, NEEDS[command]))
+        return refuse(missing_package(f"`{name}`", missing, COMMANDS[command].needs))
     except Refused as reason:
         return refuse(str(reason))
 
 
-def _parts(name: str) -> list[str]:
-    """Return the sub-commands of a command."""
-    return [part for command, _, part in (words.partition(" ") for words in NEEDS) if command == name and part]
-
-
 def _choose(name: str, words: Sequence[str]) -> int:
     """Refuse a command that does nothing without one of its sub-commands."""
-    parser = Parser(name, COMMANDS[name])
-    parser.add_argument("part", choices=_parts(name), metavar="COMMAND", help=", ".join(_parts(name)))
+    parser = Parser(name, COMMANDS[name].about)
+    parser.add_argument("part", choices=PARTS[name], metavar="COMMAND", help=", ".join(PARTS[name]))
     parser.parse_args(words)
     return REFUSED
 
@@ -198,15 +143,15 @@ def _parser() -> Parser:
     parser = Parser("", None, add_help=False)
     parser.add_argument("-h", "--help", action="store_true")
     parser.add_argument("--version", action="version", version=version("jax-aero"))
-    parser.add_argument("command", nargs="?", default="help", choices=[*COMMANDS, "help"], metavar="COMMAND")
+    parser.add_argument("command", nargs="?", default="help", choices=[*PARTS, "help"], metavar="COMMAND")
     return parser
 
 
 def _help() -> str:
-    width = max(map(len, COMMANDS))
+    width = max(map(len, PARTS))
     listed = "\n".join(
-        f"  {name:<{width}}  {about}" + (f" ({', '.join(_parts(name))})" if _parts(name) else "")
-        for name, about in COMMANDS.items()
+        f"  {name:<{width}}  {COMMANDS[name].about}" + (f" ({', '.join(parts)})" if parts else "")
+        for name, parts in PARTS.items()
     )
     return f"""usage: jax-aero COMMAND ...
 
@@ -234,6 +179,6 @@ def _words_before_cursor() -> list[str]:
     words = shlex.split(line + "_")[1:]  # the suffix preserves an empty last word
     if len(words) < 2:
         return []
-    has_part = len(words) > 2 and (words[0] == "study" or f"{words[0]} {words[1]}" in NEEDS)
+    has_part = len(words) > 2 and (words[0] == "study" or f"{words[0]} {words[1]}" in COMMANDS)
     os.environ["_ARGCOMPLETE"] = "3" if has_part else "2"
     return words[: 1 + has_part]

@@ -410,7 +410,7 @@ def shipped() -> dict[str, list[str]]:
     cards = [path.relative_to(NETWORKS).with_suffix("") for path in NETWORKS.rglob("*.json")]
     return {
         **kinds,
-        "commands": sorted({*cli.COMMANDS, *cli.NEEDS}),
+        "commands": sorted(cli.COMMANDS),
         "figures": sorted(FIGURES),
         "networks": sorted(str(path) for path in cards if path.name != "ensemble"),
         "studies": sorted(path.parent.name for path in places.STUDIES.glob("*/study.py")),

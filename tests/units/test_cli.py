@@ -75,7 +75,7 @@ def packages_in(extras: str) -> set[str]:
     return packages
 
 
-@pytest.mark.parametrize(("command", "extras"), cli.NEEDS.items())
+@pytest.mark.parametrize(("command", "extras"), [(name, of.needs) for name, of in cli.COMMANDS.items() if of.module])
 def test_the_extras_of_a_command_bring_what_it_imports(command, extras):
     """Otherwise the hint after a missing package would not help."""
     function = cli.function_of(command)
@@ -88,7 +88,7 @@ import sys
 from jax_aero import cli
 from jax_aero.base import places
 assert not places.IS_CHECKOUT
-commands = [name for name in cli.NEEDS if not name.startswith("report")]
+commands = [name for name, of in cli.COMMANDS.items() if of.module and not name.startswith("report")]
 print(len([cli.function_of(name) for name in commands]), {"experiments", "paper_figs"} & {*sys.modules})
 print([cli.main(words.split()) for words in ("fly --list", "sweep --list", "study", "report", "figures fig5")])
 """
@@ -106,7 +106,7 @@ def test_without_a_checkout_commands_work_beside_packages_of_a_user_that_have_th
         text=True, check=False,
     )  # fmt: skip
     first, *_, last = answer.stdout.splitlines() or [""]
-    assert first == f"{len(cli.NEEDS) - 2} set()", answer.stderr
+    assert first == f"{sum(bool(of.module) for of in cli.COMMANDS.values()) - 2} set()", answer.stderr
     assert last == "[0, 0, 2, 2, 2]", answer.stderr
     assert answer.stderr.count("needs a checkout of the repository") == 2
     assert "of the paper and of studies are in a checkout" in answer.stderr
@@ -115,7 +115,7 @@ def test_without_a_checkout_commands_work_beside_packages_of_a_user_that_have_th
 def test_help_names_every_command(capsys):
     assert cli.main(["--help"]) == 0
     shown = capsys.readouterr().out
-    assert all(f"\n  {name} " in shown for name in cli.COMMANDS)
+    assert all(f"\n  {name} " in shown for name in cli.PARTS)
     assert cli.main([]) == cli.REFUSED
 
 
