@@ -137,8 +137,16 @@ class MomentumController:
 
     def model(self, robot: RobotModel, now: Measurement) -> Model:
         """Return the values of a tick that depend on the measurement only."""
-        conventions, lambda_a, torque = self.switches[:3]
-        return update_model(robot, self.aero, conventions, self.rate_feedback, lambda_a, torque, now)
+        switches = self.switches
+        return update_model(
+            robot,
+            self.aero,
+            switches.conventions,
+            self.rate_feedback,
+            lambda_feedback=switches.lambda_a,
+            torque_feedback=switches.torque,
+            now=now,
+        )
 
     def init(self, robot: RobotModel, state: State) -> ControllerState:
         """Return the state of the controller at the first tick; see `init`."""
@@ -148,7 +156,8 @@ class MomentumController:
         self, robot: RobotModel, memory: ControllerState, measurement: Measurement
     ) -> tuple[ControllerState, Command]:
         """Compute one tick on the configured mission; see `tick`."""
-        memory, command, terms = tick(self, robot, memory, *measurement[:4], preview=measurement.preview)
+        known = measurement.time, measurement.state, measurement.thrust, measurement.wind
+        memory, command, terms = tick(self, robot, memory, *known, preview=measurement.preview)
         return memory, command._replace(setpoint=terms.setpoint, terms=terms)
 
 
@@ -309,9 +318,21 @@ def decide(
         torque_qp=torque.answer,
         degraded_modes=rates.modes | jnp.where(torque.is_solved, 0, MODES["torque_held"]),
     )
-    exact = jnp.zeros_like(estimates.wind)
     terms = Terms(
-        estimates, exact, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, torque.friction, added
+        estimates=estimates,
+        wind_std=jnp.zeros_like(estimates.wind),
+        kinematics=model.kinematics,
+        dynamics=model.dynamics,
+        inverse_mass=model.inverse_mass,
+        link_forces=model.link_forces,
+        momentum=model.momentum,
+        setpoint=rates.setpoint,
+        attitude=rates.attitude,
+        momentum_qp=rates.momentum_qp,
+        torque_qp=torque.torque_qp,
+        unlimited_torque=torque.unlimited_torque,
+        friction=torque.friction,
+        residual=added,
     )
     return memory, command, terms
 
