@@ -11,7 +11,7 @@ from jax_aero import rust
 from jax_aero.aero import NoAero
 from jax_aero.base.places import CONFIGS
 from jax_aero.body.robot import load_robot
-from jax_aero.commands import identify as command
+from jax_aero.identify.prior import numbers_of, prior_of
 from jax_aero.train import identify
 
 
@@ -40,8 +40,8 @@ def test_truth_of_the_whole_robot_is_what_its_numbers_say():
     """Whatever bodies have of their own, mass, centre and inertia are those that the numbers were given."""
     robot = load_robot(CONFIGS / "robot" / "ironcub_mk1.toml")
     posture = 0.2 * np.ones(robot.n_joints)
-    size = sum(np.size(part) for part in command.prior_of(robot, draw.WIDTHS))
-    numbers = command.numbers_of(robot, np.zeros(size))._replace(
+    size = sum(np.size(part) for part in prior_of(robot, draw.WIDTHS))
+    numbers = numbers_of(robot, np.zeros(size))._replace(
         mass=np.array(0.04), com=np.array([0.01, 0.0, -0.02]), inertia=np.array(0.15),
         bodies=0.03 * np.random.default_rng(2).normal(size=(len(robot.masses), 10)),
     )  # fmt: skip

@@ -22,6 +22,8 @@ from jax_aero.body.spatial import exp_so3
 from jax_aero.commands import fly
 from jax_aero.commands import identify as command
 from jax_aero.identify import excite, result, samples, verdict
+from jax_aero.identify.numbers import MANY, Z, estimates, labels, records
+from jax_aero.identify.prior import BODIES, numbers_of, prior_of
 from jax_aero.sweep.perturbation import Perturbation
 from jax_aero.train import identify
 from jax_aero.types import State
@@ -74,7 +76,7 @@ def made_log(model, numbers):
 
 def drawn(robot, *names):
     """Return prior deviations, and numbers of which those of these names differ from the file by about as much."""
-    prior, rng = command.prior_of(robot, WIDTHS), np.random.default_rng(5)
+    prior, rng = prior_of(robot, WIDTHS), np.random.default_rng(5)
     parts = {name: np.asarray(part) * rng.uniform(0.5, 1.5, np.shape(part)) for name, part in prior._asdict().items()}
     return prior, identify.Numbers(**{key: jnp.asarray(part * float(key in names)) for key, part in parts.items()})
 
@@ -90,16 +92,16 @@ def errors_of(model, prior, truth, monkeypatch):
     wanted = np.concatenate([np.ravel(part) for part in truth])
     free = found.prior > 0.0  # the wind was measured
     error = np.abs(found.value - wanted)[free] / found.prior[free]
-    names = [label for (label, *_), chosen in zip(command.labels(model.robot), free, strict=True) if chosen]
+    names = [label for (label, *_), chosen in zip(labels(model.robot), free, strict=True) if chosen]
     return found, dict(zip(names, zip(error, found.share[free], strict=True), strict=True))
 
 
 @pytest.mark.usefixtures("x64")
 def test_every_number_is_recovered_from_a_made_log(sparrow, monkeypatch):
     """Without noise the truth is found, of all numbers at once, to a twentieth of what was known before."""
-    fields = [name for name in identify.Numbers._fields if name not in (*command.MANY, "wind")]
+    fields = [name for name in identify.Numbers._fields if name not in (*MANY, "wind")]
     prior, truth = drawn(sparrow.robot, *fields)
-    prior = prior._replace(**{name: np.zeros_like(getattr(prior, name)) for name in (*command.MANY, "wind")})
+    prior = prior._replace(**{name: np.zeros_like(getattr(prior, name)) for name in (*MANY, "wind")})
     found, errors = errors_of(sparrow, prior, truth, monkeypatch)
     # The gyroscope's rotation was known to 0.05 degrees.
     asked = {name: part for name, part in errors.items() if not name.startswith("gyro")}
@@ -139,7 +141,7 @@ def test_noise_that_multiplies_numbers_does_not_make_them_small(kind, sparrow, m
         for sign in (1.0, -1.0):
             one = log._replace(**{field: getattr(log, field) + sign * noise}, **more)
             value = identify.estimate(sparrow, [one], PERIOD, prior, None, (1e-4, 1e-4, 1e-4)).value
-            numbers = command.numbers_of(sparrow.robot, value)
+            numbers = numbers_of(sparrow.robot, value)
             found.append(np.mean(numbers.thrust_gain) if kind == "thrust" else numbers.com[2])
         return float(np.mean(found))
 
@@ -156,7 +158,7 @@ def test_drives_that_are_wrong_alike_do_not_make_the_robot_light(sparrow, monkey
     prior = prior._replace(**{name: np.zeros_like(part) for name, part in prior._asdict().items() if name not in asked})
     log = made_log(sparrow, truth)
     found = identify.estimate(sparrow, [log], PERIOD, prior)
-    assert abs(found.value[0]) < command.Z * found.deviation[0]
+    assert abs(found.value[0]) < Z * found.deviation[0]
     monkeypatch.setattr(identify, "ALIKE", 0.0)
     assert identify.estimate(sparrow, [log], PERIOD, prior).deviation[0] < 0.97 * found.deviation[0]
 
@@ -172,7 +174,7 @@ def test_bodies_that_differ_one_by_one_do_not_mislead(sparrow, monkeypatch):
     wanted = np.concatenate([np.ravel(part) for part in truth])
     beyond = (np.abs(found.value - wanted) > 2.6 * found.deviation)[free]
     assert beyond.mean() < 0.05
-    heavy = [name.startswith(("bodies.", "com")) for name, *_ in command.labels(sparrow.robot)]
+    heavy = [name.startswith(("bodies.", "com")) for name, *_ in labels(sparrow.robot)]
     assert np.sum(found.share[heavy] > 0.5) > 5
 
 
@@ -180,9 +182,9 @@ def test_bodies_that_differ_one_by_one_do_not_mislead(sparrow, monkeypatch):
 def test_bodies_keep_mass_centre_and_inertia_of_the_whole(sparrow):
     """What `mass`, `com` and `inertia` say of the robot in its posture does not depend on how bodies share it."""
     rng, robot = np.random.default_rng(1), sparrow.robot
-    none = command.numbers_of(robot, np.zeros(sum(np.size(part) for part in command.prior_of(robot, WIDTHS))))
+    none = numbers_of(robot, np.zeros(sum(np.size(part) for part in prior_of(robot, WIDTHS))))
     some = none._replace(mass=np.array(0.03), com=np.array([0.01, -0.02, 0.005]), inertia=np.array(-0.1))
-    other = some._replace(bodies=np.repeat(command.BODIES, [1, 3, 6]) * rng.normal(size=np.shape(none.bodies)))
+    other = some._replace(bodies=np.repeat(BODIES, [1, 3, 6]) * rng.normal(size=np.shape(none.bodies)))
     wholes = []
     for numbers in (some, other):
         changed = identify.robot_with(sparrow, numbers)
@@ -233,7 +235,7 @@ def test_a_robot_that_hovers_still_adds_nothing_to_its_prior(sparrow):
     _, truth = drawn(robot, "mass")
     log = made_log(sparrow, truth)
     still = identify.Samples(*(jnp.tile(rows[:1], (COUNT, *(1,) * (rows.ndim - 1))) for rows in log))
-    prior = command.prior_of(robot, WIDTHS)
+    prior = prior_of(robot, WIDTHS)
     found = identify.estimate(sparrow, [still], PERIOD, prior)
     assert [share for share, _ in found.undetermined() if share < 0.99] == []
     assert found.deviation.max() <= max(np.max(part) for part in prior)
@@ -252,12 +254,12 @@ def test_what_a_log_is_expected_to_add_is_what_it_adds(sparrow):
         logs.append(log._replace(torque=log.torque + noise[6:] * rng.normal(size=log.torque.shape)))
     still = logs[1]._replace(joint_velocity=jnp.zeros_like(logs[1].joint_velocity))
     first, both = (identify.estimate(sparrow, some, PERIOD, prior) for some in (logs[:1], logs))
-    numbers = command.numbers_of(robot, first.value)
+    numbers = numbers_of(robot, first.value)
     left, nothing = (identify.expected(sparrow, numbers, first, log, PERIOD) for log in (logs[1], still))
     free = first.prior > 0.0
     assert np.all(left[free] <= first.deviation[free] * (1.0 + 1e-9))  # of what no log shows as it was
     assert np.exp(np.mean(np.abs(np.log(left[free] / both.deviation[free])))) < 1.2
-    of_friction = [name.startswith("friction") for name, *_ in command.labels(robot)]
+    of_friction = [name.startswith("friction") for name, *_ in labels(robot)]
     assert np.all(nothing[of_friction] > 0.95 * first.deviation[of_friction])
     assert np.all(left[of_friction] < 0.9 * first.deviation[of_friction])
 
@@ -268,7 +270,7 @@ def test_numbers_that_are_not_asked_for_stay_uncertain(sparrow):
     robot = sparrow.robot
     prior, truth = drawn(robot, "mass", "com")
     found = identify.estimate(sparrow, [made_log(sparrow, truth)], PERIOD, prior)
-    shown = command.records(robot, found, command._places(robot, found, ["axes"]))
+    shown = records(robot, found, command._places(robot, found, ["axes"]))
     assert {row["name"].split(".")[0] for row in shown} == {"thrust_axes"}
     assert len(shown) == 2 * robot.jets.count
 
@@ -276,15 +278,15 @@ def test_numbers_that_are_not_asked_for_stay_uncertain(sparrow):
 def test_an_interval_of_what_is_not_known_is_that_of_the_prior(sparrow):
     """95 % of a uniform distribution, of friction from zero; with data, that of their normal distribution."""
     robot = sparrow.robot
-    prior = np.concatenate([np.ravel(part) for part in command.prior_of(robot, WIDTHS)])
-    names = [name for name, *_ in command.labels(robot)]
+    prior = np.concatenate([np.ravel(part) for part in prior_of(robot, WIDTHS)])
+    names = [name for name, *_ in labels(robot)]
 
     def interval(name, value, deviation):
         place = names.index(name)
         values, deviations = np.zeros(prior.size), prior.copy()
         values[place], deviations[place] = value, deviation
         found = identify.Found(values, deviations, prior, np.diag(deviations**2), [], [])
-        return [ends[place] for ends in command.estimates(robot, found)[::2]]
+        return [ends[place] for ends in estimates(robot, found)[::2]]
 
     half = np.sqrt(3.0) * prior[names.index("com.x")]
     assert half > 0.02  # of the file's base body, and of what other bodies may weigh
@@ -440,8 +442,8 @@ def test_what_was_not_found_of_drives_stays_as_stated(sparrow, tmp_path):
     """A joint that did not move has the file's friction in the world, and its group the controller's."""
     robot = load_robot(CONFIGS / "robot" / "ironcub_mk1.toml")
     config = rust.load_config("robot")
-    zero = np.zeros(sum(np.size(part) for part in command.prior_of(robot, WIDTHS)))
-    numbers = command.numbers_of(robot, zero)
+    zero = np.zeros(sum(np.size(part) for part in prior_of(robot, WIDTHS)))
+    numbers = numbers_of(robot, zero)
     friction, arm = np.zeros(robot.n_joints), robot.joint_names.index("l_elbow")
     friction[arm] = 1.5
     is_found = numbers._replace(friction=(friction > 0.0).astype(float), damping=np.array(1.0))

@@ -11,8 +11,10 @@ from jax_aero import rust
 from jax_aero.base.terminal import Refused
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import exp_so3, wxyz_from_rotation
-from jax_aero.commands import identify as command
 from jax_aero.identify import samples, verdict
+from jax_aero.identify.identified import identify_robot, mistake
+from jax_aero.identify.numbers import estimates, labels
+from jax_aero.identify.prior import WIND, prior_of
 from jax_aero.sweep.perturbation import Perturbation
 from tests.units import test_any_robot
 
@@ -42,8 +44,8 @@ def flown():
 def identified(config, log):
     source = Path(config["robot"])
     robot = load_robot(source)
-    prior = command.prior_of(robot, WIDTHS, 0.0 if samples.is_measured(log) else command.WIND)
-    return command.identify_robot(config, source, [log], prior, float(np.sum(robot.masses))), prior
+    prior = prior_of(robot, WIDTHS, 0.0 if samples.is_measured(log) else WIND)
+    return identify_robot(config, source, [log], prior, float(np.sum(robot.masses))), prior
 
 
 def scaled(name, factor, part=slice(None)):
@@ -117,7 +119,7 @@ def test_a_wrong_log_is_not_explained_and_the_mistake_is_named(flown, name):
     assert not known.verdict.is_explained
     if name in NAMED:
         source = Path(config["robot"])
-        found = command.mistake(known, config, source, [log], prior, float(np.sum(known.robot.masses)))
+        found = mistake(known, config, source, [log], prior, float(np.sum(known.robot.masses)))
         assert found is not None
         assert name in found
 
@@ -128,10 +130,10 @@ def test_a_log_without_an_anemometer_has_a_wind_to_find(flown):
     config, log = flown
     known, prior = identified(config, {**log, "raw_wind": np.full_like(log["raw_wind"], np.nan)})
     assert known.verdict.is_explained
-    names = [name for name, *_ in command.labels(known.robot)]
+    names = [name for name, *_ in labels(known.robot)]
     place = names.index("wind.y")
-    low, high = (ends[place] for ends in command.estimates(known.robot, known.found)[::2])
-    assert prior.wind[1] == command.WIND
+    low, high = (ends[place] for ends in estimates(known.robot, known.found)[::2])
+    assert prior.wind[1] == WIND
     assert low < -2.0 < high
     assert known.found.share[place] > 0.5
 

@@ -33,7 +33,9 @@ from jax_aero.base.terminal import Refused
 from jax_aero.body.kinematics import kinematics_at_rest
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.body.spatial import exp_so3
-from jax_aero.commands import identify as command
+from jax_aero.identify.identified import Identified, identify_robot
+from jax_aero.identify.numbers import FOUND, estimates, labels
+from jax_aero.identify.prior import prior_of
 from jax_aero.results.study import Findings, Study
 from jax_aero.results.work import Work
 from jax_aero.train import identify
@@ -113,15 +115,15 @@ def row_of(seed: int, number: int, has_defects: bool, folder: Path) -> dict[str,
     model = robot_of(file, drawn["disturbances"]["model_error"])
     rng = np.random.default_rng([seed, number])
     mass = float(np.sum(actual.masses)) * (1.0 + draw.WEIGHING * rng.normal())
-    prior = command.prior_of(file, draw.WIDTHS)
+    prior = prior_of(file, draw.WIDTHS)
 
-    def identified(log: Mapping[str, Array]) -> command.Identified:
-        return command.identify_robot(config, Path(config["robot"]), [log], prior, mass, model)
+    def identified(log: Mapping[str, Array]) -> Identified:
+        return identify_robot(config, Path(config["robot"]), [log], prior, mass, model)
 
     truth = truth_of(file, actual, model, drawn, gains, np.mean(log["raw_joint_position"], axis=0))
     every = np.concatenate([np.ravel(part) for part in truth])
     is_known = np.isfinite(every)
-    names = np.array([name for name, *_ in command.labels(file)])[is_known].tolist()
+    names = np.array([name for name, *_ in labels(file)])[is_known].tolist()
     row: dict[str, Any] = {"names": names, "outcome": flight.outcome, "is_explained": False}
     row |= {key: [None] * len(names) for key in NUMBERS} | dict.fromkeys(DEFECTS, -1)
     row["truth"] = every[is_known].tolist()
@@ -130,7 +132,7 @@ def row_of(seed: int, number: int, has_defects: bool, folder: Path) -> dict[str,
     except Refused as reason:
         return row | {"verdict": str(reason)}
     found = known.found
-    low, middle, high = (part[is_known].tolist() for part in command.estimates(file, found))
+    low, middle, high = (part[is_known].tolist() for part in estimates(file, found))
     row |= {"low": low, "high": high, "value": middle, "share": found.share[is_known].tolist()}
     against = [*(one.name for one in known.verdict.unexplained), *known.verdict.conflicts]
     row |= {"is_explained": known.verdict.is_explained, "verdict": ", ".join(against)}
@@ -187,7 +189,7 @@ def truth_of(
     sensors, late = simulator["sensors"], simulator["actuation"]
     sides = jax.vmap(identify.across)(jnp.asarray(model.jets.axes))
     tilts = jnp.einsum("jab,ja->jb", sides, jnp.cross(model.jets.axes, jnp.asarray(file.jets.axes)))
-    prior = command.prior_of(file, draw.WIDTHS)
+    prior = prior_of(file, draw.WIDTHS)
     unknown = Numbers(*(np.full(np.shape(part), np.nan) for part in prior))
     mass, com, inertia = whole(model, actual, posture)
     before = rust.load_config(draw.EXPERIMENT)["simulator"]["actuation"]["torque_delay"]
@@ -236,7 +238,7 @@ def summary_of(data: xr.Dataset) -> dict[str, float]:
     truth, low, high, value, share = (np.asarray(data[key]) for key in NUMBERS)
     is_explained = np.asarray(data["is_explained"], dtype=bool)
     is_still = np.asarray(data["wind"]) == next(iter(draw.WINDS))
-    is_found = (share >= command.FOUND) & is_explained[:, None]
+    is_found = (share >= FOUND) & is_explained[:, None]
     summary: dict[str, float] = {}
     for kind, parts in KINDS.items():
         of = np.isin(names, parts)
