@@ -2,14 +2,15 @@
 
 Every case is the command `jax-aero sweep`, from its start to the finished tables, of perturbed flights in two cells. A
 flight of one tick has all costs but those of its ticks: these are the difference to longer flights of the same sweep.
-Times are processor times, in which other programs do not count; wall times, of two cores and of Ray, have the load of
-the machine at their start beside them. Prints all of it; `--store` keeps it. Takes a quarter of an hour; `--part`
-divides the numbers of flights.
+Times are processor times of all processes of a command, in which other programs do not count; wall times of two cores
+have the load of the machine at their start beside them. Prints all of it; `--store` keeps it. Takes a quarter of an
+hour; `--part` divides the numbers of flights.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import itertools
 import os
 import subprocess
@@ -43,6 +44,8 @@ OVERHEAD = (1000, 10_000, 100_000)
 """Numbers of flights of one tick."""
 ON_RAY = (200, 2000, 20_000)
 """Numbers of flights of one tick on a Ray cluster of two processes; between neighbours is the time of one more."""
+PR_SET_CHILD_SUBREAPER = 36
+"""Of Linux' `prctl`."""
 LOOK = 0.02
 """Time between two looks at a command [s]."""
 SWEEP = """title = "measured"
@@ -64,7 +67,7 @@ class Cost:
 
     flights: int
     processor: float
-    """Processor time [s]; of Ray that of this process alone."""
+    """Processor time of all its processes [s]."""
     wall: float
     """[s]"""
     memory: int
@@ -100,6 +103,7 @@ def measure(part: int = 1) -> dict[str, dict[str, float]]:
     for flights in OVERHEAD:
         bare = fly("test2", TICK, flights // part)
         found[f"{bare.flights} flights of a tick"] = of_overhead(bare)
+    _adopt()
     ray = [fly("test2", TICK, flights // part, cores=2, ray=True) for flights in ON_RAY]
     for fewer, more in itertools.pairwise(ray):
         found[f"Ray, {fewer.flights} to {more.flights} flights of a tick"] = of_more(fewer, more)
@@ -139,9 +143,8 @@ def of_overhead(bare: Cost) -> dict[str, float]:
 
 
 def of_more(fewer: Cost, more: Cost) -> dict[str, float]:
-    """Return the wall time of one more flight."""
-    flights = more.flights - fewer.flights
-    return {"one more [ms]": 1e3 * (more.wall - fewer.wall) / flights, "load": max(fewer.load, more.load)}
+    """Return the processor time of one more flight."""
+    return {"one more [ms]": 1e3 * (more.processor - fewer.processor) / (more.flights - fewer.flights)}
 
 
 def fly(base: str, duration: float, flights: int, cores: int = 1, *, ray: bool = False) -> Cost:
@@ -158,24 +161,39 @@ def fly(base: str, duration: float, flights: int, cores: int = 1, *, ray: bool =
         perturbation = places.CONFIGS / "perturbation" / "flight.toml"
         file.write_text(SWEEP.format(base=base, duration=duration, repeats=repeats, perturbation=perturbation))
         command = [sys.executable, "-m", "jax_aero", "sweep", str(file), "--out", str(folder), "--workers", str(cores)]
+        command += ["--cluster", "ray"] * ray
         load, started = os.getloadavg()[0], time.perf_counter()
         with (folder / "messages").open("wb") as messages:
-            command += ["--cluster", "ray"] * ray
             process = subprocess.Popen(command, cwd=places.HOME, stdout=messages, stderr=messages)
-            if not ray:
-                os.sched_setaffinity(process.pid, sorted(os.sched_getaffinity(0))[:cores])
-            memory = 0
-            while True:
-                memory = max(memory, _memory(process.pid))
-                done, status, used = os.wait4(process.pid, os.WNOHANG)
-                if done:
-                    break
-                time.sleep(LOOK)
-        wall, process.returncode = time.perf_counter() - started, os.waitstatus_to_exitcode(status)
+        os.sched_setaffinity(process.pid, sorted(os.sched_getaffinity(0))[:cores])
+        memory = 0
+        while not (ended := os.wait4(process.pid, os.WNOHANG))[0]:
+            memory = max(memory, _memory(process.pid))
+            time.sleep(LOOK)
+        wall, (_, status, used) = time.perf_counter() - started, ended
+        process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
             raise Refused(f"`{' '.join(command)}` failed: {(folder / 'messages').read_text()}")
         disk = sum(path.stat().st_size for path in (folder / "measured").rglob("*") if path.is_file())
-        return Cost(2 * repeats, used.ru_utime + used.ru_stime, wall, memory, disk, load)
+        processor = used.ru_utime + used.ru_stime + (_left_behind() if ray else 0.0)
+        return Cost(2 * repeats, processor, wall, memory, disk, load)
+
+
+def _adopt() -> None:
+    """Make processes that those of a command leave behind, as Ray's do, children of this one, whose times count."""
+    if ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0):
+        raise Refused("no process of Ray can be measured; expected Linux")
+
+
+def _left_behind() -> float:
+    """Wait for the processes that a command has left behind, and return their processor time [s]."""
+    total = 0.0
+    while True:
+        try:
+            *_, used = os.wait4(-1, 0)
+        except ChildProcessError:
+            return total
+        total += used.ru_utime + used.ru_stime
 
 
 def _memory(process: int) -> int:

@@ -21,7 +21,8 @@ and Wensing, "Smooth parameterization of rigid-body inertia", RA-L 2022, here ab
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -357,57 +358,137 @@ def estimate(
     known
         Number of the first samples of every log that predict the others; the numbers are then those of all.
     """
-    robot = model.robot
-    widths, unravel = ravel_pytree(prior)
-    width: np.ndarray = np.asarray(widths, dtype=float)
-    free = np.flatnonzero(width > 0.0)
-    sigma = width[free]
-    chosen = tuple(free.tolist())
+    problem = _Problem.of(model, logs, period, prior, weighed, unmodelled)
     counts = [len(one.weight) for one in logs]
     known = counts if known is None else known
-    rows = [_moving(one) for one in logs]
-    index = unravel(jnp.arange(width.size, dtype=float))
-    gains, offsets = (
-        np.searchsorted(free, np.asarray(part, dtype=int)) if np.all(np.isin(part, free)) else np.zeros(0, dtype=int)
-        for part in (index.thrust_gain, index.thrust_offset)
-    )
-    if not (gains.size and offsets.size):
+    with progress_bar("step", delay=0) as show:
+        start = np.zeros(problem.width.size)
+        theta, *_ = problem.search(start, known, COARSE, lambda step: show(step, 2 * STEPS))
+        theta, covariance, linear, moved = problem.search(theta, counts, 1, lambda step: show(STEPS + step, 2 * STEPS))
+    held_out = problem.predict(theta, covariance, linear, known)
+    residuals = list(zip(problem.left_of(0.0 * theta), problem.left_of(theta), strict=True))
+    full = problem.whole(covariance)
+    return Found(theta, np.sqrt(np.diag(full)), problem.width, full, residuals, held_out, moved)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The search for numbers by Gauss and Newton: linearise, solve in units of the prior, until steps are short.
+
+    Numbers are a vector (p,), `theta`, of which the free ones, those with a prior, have covariances and slopes.
+    """
+
+    model: Model
+    logs: Sequence[Samples]
+    period: float
+    """Time between samples [s]."""
+    width: np.ndarray
+    """Standard deviations of the prior (p,); zero for a number that is not searched."""
+    before: np.ndarray
+    """Inverse of the prior's covariance of the free numbers, in units of their deviations."""
+    gains: np.ndarray
+    offsets: np.ndarray
+    """Places of the thrusts' gains and offsets among the free numbers; none unless all are free."""
+    numbers_of: Callable[[Any], Numbers]
+    """Function from a vector of numbers to them by name."""
+    weighed: tuple[float, float] | None
+    unmodelled: tuple[float, float, float]
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        logs: Sequence[Samples],
+        period: float,
+        prior: Numbers,
+        weighed: tuple[float, float] | None,
+        unmodelled: tuple[float, float, float],
+    ) -> _Problem:
+        """Return the problem of these arguments of `estimate`."""
+        widths, unravel = ravel_pytree(prior)
+        width: np.ndarray = np.asarray(widths, dtype=float)
+        free = np.flatnonzero(width > 0.0)
+        index = unravel(jnp.arange(width.size, dtype=float))
         gains = offsets = np.zeros(0, dtype=int)
-    before: np.ndarray = np.eye(free.size)
-    of_torques = np.flatnonzero(np.isin(free, np.asarray(index.torque_gain, dtype=int)))
-    before[np.ix_(of_torques, of_torques)] += ALIKE * (1.0 - np.eye(of_torques.size))
-    before = np.linalg.inv(before)
+        thrusts = [np.asarray(part, dtype=int) for part in (index.thrust_gain, index.thrust_offset)]
+        if np.all(np.isin(np.concatenate(thrusts), free)):
+            gains, offsets = (np.searchsorted(free, part) for part in thrusts)
+        before: np.ndarray = np.eye(free.size)
+        of_torques = np.flatnonzero(np.isin(free, np.asarray(index.torque_gain, dtype=int)))
+        before[np.ix_(of_torques, of_torques)] += ALIKE * (1.0 - np.eye(of_torques.size))
+        before = np.linalg.inv(before)
+        return cls(model, logs, period, width, before, gains, offsets, unravel, weighed, unmodelled)
 
-    def left_of(theta: Any, some: Sequence[Samples]) -> list[np.ndarray]:
-        return [unexplained(model, unravel(jnp.asarray(theta)), one) for one in some]
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Places of the numbers that are searched."""
+        return np.flatnonzero(self.width > 0.0)
 
-    def solve(start: Any, lefts: Any, linear: Any, counts: Sequence[int], step: int) -> tuple[Any, Any]:
-        """Return numbers and their covariance in units of the prior, from the first samples of every log."""
-        spectra = []
-        noises = [np.asarray(one.thrust_noise) for one in logs]
-        of_mass = _by_mass(model, unravel(jnp.asarray(start)), logs[0], chosen)
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """Their standard deviations before."""
+        return np.asarray(self.width[self.free])
+
+    @cached_property
+    def chosen(self) -> tuple[int, ...]:
+        """Their places, for functions that are compiled for them."""
+        return tuple(self.free.tolist())
+
+    @cached_property
+    def rows(self) -> list[np.ndarray]:
+        """Weights of the rows of every log."""
+        return [_moving(one) for one in self.logs]
+
+    def left_of(self, theta: Any, some: Sequence[Samples] | None = None) -> list[np.ndarray]:
+        """Return what numbers leave of the logs, or of some of their samples."""
+        numbers = self.numbers_of(jnp.asarray(theta))
+        return [unexplained(self.model, numbers, one) for one in (self.logs if some is None else some)]
+
+    def linearise(self, theta: Any, some: Sequence[Samples], lefts: Any) -> Any:
+        """Return slopes and the air's forces of every log at these numbers."""
+        guess = self.numbers_of(jnp.asarray(theta))
+        return [
+            (_slopes(self.model, guess, one, self.chosen), air_of(self.model, guess, one, left))
+            for one, left in zip(some, lefts, strict=True)
+        ]
+
+    def spectra(self, lefts: Any, linear: Any, counts: Sequence[int], step: int) -> list[Any]:
+        """Return residuals, slopes and variances by frequency, from every `step`th of the first samples of each log.
+
+        Beside them are the noise of thrusts in the slopes, and cover and spectrum of that of accelerations.
+        """
+        found = []
+        noises = [np.asarray(one.thrust_noise) for one in self.logs]
         for one, left, (slopes, air), weights, noise, count in zip(
-            logs, lefts, linear, rows, noises, counts, strict=True
+            self.logs, lefts, linear, self.rows, noises, counts, strict=True
         ):
             if count:
                 window, end = weights[:count:step], -(-count // step)
-                by_thrust = window[:, :, None] * slopes[:end][:, :, offsets]
+                by_thrust = window[:, :, None] * slopes[:end][:, :, self.offsets]
                 left, by, spread = _transformed(
-                    model.robot, window, left[:end], slopes[:end], air[:end], step * period, unmodelled
+                    self.model.robot, window, left[:end], slopes[:end], air[:end], step * self.period, self.unmodelled
                 )
-                spectrum = _of_accelerations(np.asarray(one.velocity_noise)[0], len(left), step * period * end)
+                duration = step * self.period * end
+                spectrum = _of_accelerations(np.asarray(one.velocity_noise)[0], len(left), duration)
                 share = _taper(end) ** 2 / np.sum(_taper(end) ** 2)
-                noisy = np.einsum("k,kij,kj->ij", share, by_thrust**2, noise[:count:step][:, : len(offsets)] ** 2)
-                spectra.append((left, by, spread, noisy, (share @ window**2, spectrum)))
+                noisy = np.einsum("k,kij,kj->ij", share, by_thrust**2, noise[:count:step][:, : len(self.offsets)] ** 2)
+                found.append((left, by, spread, noisy, (share @ window**2, spectrum)))
+        return found
+
+    def solve(self, start: Any, lefts: Any, linear: Any, counts: Sequence[int], step: int) -> tuple[Any, Any]:
+        """Return numbers and their covariance in units of the prior, from the first samples of every log."""
+        free, sigma, gains = self.free, self.sigma, self.gains
+        of_mass = _by_mass(self.model, self.numbers_of(jnp.asarray(start)), self.logs[0], self.chosen)
+        spectra = self.spectra(lefts, linear, counts, step)
         theta = start.copy()
         covariance: np.ndarray = np.zeros((sigma.size, sigma.size))
         for _ in range(WEIGHED):
-            information, slope = before.copy(), -before @ (theta[free] / sigma)
-            if weighed is not None and width[0] > 0.0:
-                mass = float(np.sum(robot.masses))
-                by_mass = sigma[0] * mass / weighed[1]
+            information, slope = self.before.copy(), -self.before @ (theta[free] / sigma)
+            if self.weighed is not None and self.width[0] > 0.0:
+                mass = float(np.sum(self.model.robot.masses))
+                by_mass = sigma[0] * mass / self.weighed[1]
                 information[0, 0] += by_mass**2
-                slope[0] += by_mass * (weighed[0] - mass * (1.0 + theta[0])) / weighed[1]
+                slope[0] += by_mass * (self.weighed[0] - mass * (1.0 + theta[0])) / self.weighed[1]
             for left, by, variance, noisy, (covered, spectrum) in spectra:
                 added = _information(left + by @ (theta - start)[free], sigma * by, variance, covariance)
                 information, slope = information + added[0], slope - added[1]
@@ -415,36 +496,34 @@ def estimate(
                 # what it adds to the residual in the mean, it would make them small.
                 pull = added[2].sum(axis=0) @ noisy
                 slope[gains] += sigma[gains] * pull
-                slope[: int(width[0] > 0.0)] -= sigma[0] * pull.sum()  # since the residual is over the mass's factor
+                # The residual is over the mass's factor.
+                slope[: int(self.width[0] > 0.0)] -= sigma[0] * pull.sum()
                 slope += sigma * np.tensordot((added[2] * covered).T @ spectrum, of_mass, 2)
             covariance = np.linalg.inv(information)
             theta[free] += sigma * (covariance @ slope)
         return theta, covariance
 
     def search(
-        theta: Any, counts: Sequence[int], step: int, begin: Callable[[int], None]
+        self, theta: Any, counts: Sequence[int], step: int, begin: Callable[[int], None]
     ) -> tuple[Any, Any, Any, float]:
         """Return numbers, their covariance, slopes at the last linearisation, and the last step in deviations.
 
         Slopes are kept as long as steps with them become shorter.
         """
         some = [
-            Samples(*(part[: max(count, 1) : step] for part in one)) for one, count in zip(logs, counts, strict=True)
+            Samples(*(part[: max(count, 1) : step] for part in one))
+            for one, count in zip(self.logs, counts, strict=True)
         ]
         linear: Any = None
         is_stale, moved, linearised = True, np.inf, 0
         for number in range(STEPS):
             begin(number)
-            lefts = left_of(theta, some)
+            lefts = self.left_of(theta, some)
             if is_stale:
-                guess = unravel(jnp.asarray(theta))
-                linear = [
-                    (_slopes(model, guess, one, chosen), air_of(model, guess, one, left))
-                    for one, left in zip(some, lefts, strict=True)
-                ]
+                linear = self.linearise(theta, some, lefts)
                 is_stale, linearised = False, linearised + 1
-            old, (theta, covariance) = theta, solve(theta, lefts, linear, counts, step)
-            last, moved = moved, _deviations((theta - old)[free], sigma, covariance)
+            old, (theta, covariance) = theta, self.solve(theta, lefts, linear, counts, step)
+            last, moved = moved, _deviations((theta - old)[self.free], self.sigma, covariance)
             if moved < CONVERGED:
                 break
             if moved > STALLED * last:  # as of drag in a wind that is to be found, whose slope changes with it
@@ -452,29 +531,31 @@ def estimate(
                 is_stale = linearised < LINEARISED
         return theta, covariance, linear, moved
 
-    with progress_bar("step", delay=0) as show:
-        theta, *_ = search(np.zeros(width.size), known, COARSE, lambda step: show(step, 2 * STEPS))
-        theta, covariance, linear, moved = search(theta, counts, 1, lambda step: show(STEPS + step, 2 * STEPS))
-    held_out = []
-    if any(count < len(one) for count, one in zip(known, rows, strict=True)):
-        predicted, unknown = theta, covariance
+    def predict(self, theta: Any, covariance: Any, linear: Any, known: Sequence[int]) -> list[Any]:
+        """Return of every log what the first samples of all leave of its others, with deviations and weights."""
+        if all(count >= len(one) for count, one in zip(known, self.rows, strict=True)):
+            nothing = [left[:0] for left in self.rows]
+            return [(one, one, one) for one in nothing]
         for _ in range(2):
-            predicted, unknown = solve(predicted, left_of(predicted, logs), linear, known, 1)
-        for left, (slopes, *_), weights, count in zip(left_of(predicted, logs), linear, rows, known, strict=True):
-            by = sigma * slopes[count:]
-            held_out.append((left[count:], np.sqrt(np.sum(by * (by @ unknown), axis=-1)), weights[count:]))
-    else:
-        held_out = [(left[:0], left[:0], left[:0]) for left in rows]
-    full = np.zeros((width.size, width.size))
-    full[np.ix_(free, free)] = covariance * np.outer(sigma, sigma)
-    imitated = unravel(jnp.zeros(width.size))._replace(
-        com=jnp.full(3, COHERENT * np.sum(robot.masses) / robot.masses[0]),
-        inertia=jnp.array(COHERENT_INERTIA),
-        delay=jnp.array([0.0, LATE]),
-    )
-    full += np.diag(np.where(width > 0.0, ravel_pytree(imitated)[0], 0.0) ** 2)
-    residuals = list(zip(left_of(0.0 * theta, logs), left_of(theta, logs), strict=True))
-    return Found(theta, np.sqrt(np.diag(full)), width, full, residuals, held_out, moved)
+            theta, covariance = self.solve(theta, self.left_of(theta), linear, known, 1)
+        found = []
+        for left, (slopes, *_), weights, count in zip(self.left_of(theta), linear, self.rows, known, strict=True):
+            by = self.sigma * slopes[count:]
+            found.append((left[count:], np.sqrt(np.sum(by * (by @ covariance), axis=-1)), weights[count:]))
+        return found
+
+    def whole(self, covariance: Any) -> np.ndarray:
+        """Return the covariance of all numbers, with that of what motions imitate."""
+        robot = self.model.robot
+        full = np.zeros((self.width.size, self.width.size))
+        full[np.ix_(self.free, self.free)] = covariance * np.outer(self.sigma, self.sigma)
+        imitated = self.numbers_of(jnp.zeros(self.width.size))._replace(
+            com=jnp.full(3, COHERENT * np.sum(robot.masses) / robot.masses[0]),
+            inertia=jnp.array(COHERENT_INERTIA),
+            delay=jnp.array([0.0, LATE]),
+        )
+        full += np.diag(np.where(self.width > 0.0, ravel_pytree(imitated)[0], 0.0) ** 2)
+        return full
 
 
 def _of_accelerations(noise: np.ndarray, size: int, duration: float) -> Float[np.ndarray, "f 6"]:
