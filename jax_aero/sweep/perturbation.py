@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence, Set
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,46 +28,44 @@ CHANCE = {
 }
 """Tables that get a new seed in every repeat, and the keys that they need to have random numbers at all."""
 
-STREAMS = (
-    "joint_position",
-    "base_rpy_deg",
-    "base_velocity",
-    "thrust",
-    "wind_speed",
-    "wind_direction_deg",
-    "drag",
-    "normal",
-    "link",
-    "seeds",
-    "ensemble",
-    "mass",
-    "com",
-    "inertia",
-    "thrust_axis_deg",
-    "direction",
-    "thrust_gain",
-    "imu_deg",
-    "encoders_deg",
-    "latency",
-    "friction",
-)
-"""Kinds of draws; the index is the number of the random stream, so new kinds are appended at the end."""
+
+class Draw(NamedTuple):
+    """What a key of a perturbation draws."""
+
+    stream: int
+    """Number of its random numbers, of its own, so that a key leaves the draws of others as they were."""
+    part: str
+    """What is perturbed."""
+
+
+DRAWS = {
+    "joint_position": Draw(0, "start"),
+    "base_rpy_deg": Draw(1, "start"),
+    "base_velocity": Draw(2, "start"),
+    "thrust": Draw(3, "start"),
+    "wind_speed": Draw(4, "wind"),
+    "wind_direction_deg": Draw(5, "wind"),
+    "drag": Draw(6, "aerodynamics"),
+    "normal": Draw(7, "aerodynamics"),
+    "link": Draw(8, "aerodynamics"),
+    "ensemble": Draw(10, "aerodynamics"),
+    "any_direction": Draw(15, "directions of pushes"),
+    "mass": Draw(11, "model of the robot"),
+    "com": Draw(12, "model of the robot"),
+    "inertia": Draw(13, "model of the robot"),
+    "thrust_axis_deg": Draw(14, "model of the robot"),
+    "thrust_gain": Draw(16, "thrusts"),
+    "imu_deg": Draw(17, "sensors"),
+    "encoders_deg": Draw(18, "sensors"),
+    "latency": Draw(19, "delays"),
+    "friction": Draw(20, "friction"),
+}
+"""Draws by key of a perturbation, in the order in which they are said."""
+SEED_STREAM = 9
+"""Stream of the seeds."""
 
 MOST_DRAWS = 256
 """Draws that are kept for the next cells of a repeat."""
-
-PARTS = {
-    "start": ("joint_position", "base_rpy_deg", "base_velocity", "thrust"),
-    "wind": ("wind_speed", "wind_direction_deg"),
-    "aerodynamics": ("drag", "normal", "link", "ensemble"),
-    "directions of pushes": ("any_direction",),
-    "model of the robot": ("mass", "com", "inertia", "thrust_axis_deg"),
-    "thrusts": ("thrust_gain",),
-    "sensors": ("imu_deg", "encoders_deg"),
-    "delays": ("latency",),
-    "friction": ("friction",),
-}
-"""What is perturbed, by the keys of a perturbation."""
 
 
 class Perturbation(tables.Table, frozen=True):
@@ -137,7 +135,7 @@ class Perturbation(tables.Table, frozen=True):
         self._mislead(config, draw_around, robot)
         self._wear(config, draw_around, robot)
         if self.any_direction:
-            _turn(config, _stream(seed, repeat, "direction"))
+            _turn(config, _stream(seed, repeat, DRAWS["any_direction"].stream))
         self._reshape(config, draw_around, robot.aero_link_names)
         if self.ensemble:
             _draw(config["simulator"]["aero"], members(self.ensemble), seed, repeat)
@@ -211,21 +209,20 @@ class Perturbation(tables.Table, frozen=True):
             factors["links"] = {link: given.get(link, 1.0) * x for link, x in zip(links, drawn, strict=True)}
 
 
-def _stream(seed: int, number: int, kind: str) -> np.random.Generator:
-    """Return the random numbers of a kind: one that is switched on leaves the others as they were."""
-    return np.random.default_rng([seed, number, STREAMS.index(kind)])
+def _stream(seed: int, repeat: int, number: int) -> np.random.Generator:
+    return np.random.default_rng([seed, repeat, number])
 
 
 # The flights of a chunk, neighbours in repeat and cell, have few draws between them; a generator is made in 10 us.
 @lru_cache(MOST_DRAWS)
-def _uniform(seed: int, repeat: int, kind: str, count: int) -> NDArray[np.float64]:
-    return _stream(seed, repeat, kind).uniform(-1.0, 1.0, count)
+def _uniform(seed: int, repeat: int, key: str, count: int) -> NDArray[np.float64]:
+    return _stream(seed, repeat, DRAWS[key].stream).uniform(-1.0, 1.0, count)
 
 
 @lru_cache(MOST_DRAWS)
 def _seeds(seed: int, repeat: int) -> tuple[int, ...]:
     """Return the seeds of the tables of `CHANCE`."""
-    stream = _stream(seed, repeat, "seeds")
+    stream = _stream(seed, repeat, SEED_STREAM)
     return tuple(int(stream.integers(2**31)) for _ in CHANCE)
 
 
@@ -235,7 +232,7 @@ def perturbed(given: Mapping[str, Any]) -> str:
     >>> perturbed({"wind_speed": 1e-6, "mass": 0.0, "drag": 0.1})
     'wind and aerodynamics perturbed'
     """
-    *parts, last = [part for part, keys in PARTS.items() if any(given.get(key) for key in keys)] or [""]
+    *parts, last = dict.fromkeys(draw.part for key, draw in DRAWS.items() if given.get(key)) or [""]
     return f"{' and '.join(filter(None, (', '.join(parts), last)))} perturbed" if last else "unperturbed"
 
 
@@ -271,7 +268,7 @@ def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -
         expected = '"network", as `perturbation.ensemble` draws its card'
         raise ConfigError.of("simulator.aero.model", aero["model"], expected)
     turn, place = divmod(repeat, len(cards))
-    order = _stream(seed, turn, "ensemble").permutation(len(cards))
+    order = _stream(seed, turn, DRAWS["ensemble"].stream).permutation(len(cards))
     aero["card"] = str(cards[order[place]])
 
 

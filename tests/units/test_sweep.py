@@ -32,7 +32,7 @@ from jax_aero.sweep import design as designs
 from jax_aero.sweep import result as sweep_results
 from jax_aero.sweep.design import Design
 from jax_aero.sweep.intervals import wilson
-from jax_aero.sweep.perturbation import PARTS, Perturbation, members, perturbed
+from jax_aero.sweep.perturbation import DRAWS, SEED_STREAM, Perturbation, members, perturbed
 from tests.cluster_task import KILLED_JOB, attempt
 
 ENSEMBLE = places.CONFIGS / "aero" / "networks" / "ensemble" / "ensemble.json"
@@ -423,7 +423,7 @@ def test_a_repeat_is_perturbed_alike_in_every_cell_and_unlike_the_others(agree):
 
 
 def test_what_is_perturbed_is_said_from_its_keys():
-    assert sorted(key for keys in PARTS.values() for key in keys) == sorted(Perturbation.__struct_fields__)
+    assert sorted(DRAWS) == sorted(Perturbation.__struct_fields__)
     assert perturbed({"joint_position": 1e-5, "drag": 0.0}) == "start perturbed"
     assert perturbed({"ensemble": "e.json", "mass": 0.1, "any_direction": False}) == (
         "aerodynamics and model of the robot perturbed"
@@ -432,6 +432,10 @@ def test_what_is_perturbed_is_said_from_its_keys():
     assert every.startswith("start, wind, aerodynamics, ")
     assert every.endswith("delays and friction perturbed")
     assert perturbed(dict.fromkeys(Perturbation.__struct_fields__, 0.0)) == perturbed({}) == "unperturbed"
+
+
+def test_every_draw_has_random_numbers_of_its_own():
+    assert sorted([SEED_STREAM, *(draw.stream for draw in DRAWS.values())]) == list(range(1 + len(DRAWS)))
 
 
 def test_a_perturbation_adds_to_the_errors_of_a_level():
