@@ -29,16 +29,15 @@ from jax_aero.base import arguments, places, plain_values, tables
 from jax_aero.base.files import complete_folder
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.identify import excite, result, samples, verdict
+from jax_aero.identify import excite, motion, result, samples, verdict
 from jax_aero.identify.identified import Identified, identify_robot, mistake, proposals
+from jax_aero.identify.motion import Found, Numbers, Samples
 from jax_aero.identify.numbers import FOUND, MANY, correlations, describe, labels, records
 from jax_aero.identify.prior import WIND, numbers_of, prior_of
 from jax_aero.identify.verdict import Verdict
 from jax_aero.results import study
 from jax_aero.results.table import text_table
 from jax_aero.sweep.perturbation import Perturbation
-from jax_aero.train import identify
-from jax_aero.train.identify import Found, Numbers, Samples
 from jax_aero.view import logs
 
 Array = NDArray[np.float64]
@@ -214,7 +213,7 @@ def _draw(known: Identified, out: Path) -> None:
     count = known.known[-1]
     end = Samples(*(part[count:] for part in known.logs[-1]))
     numbers = numbers_of(known.robot, known.found.value)
-    mass = identify.mass_matrices(known.model, numbers, end)
+    mass = motion.mass_matrices(known.model, numbers, end)
     measured = verdict.measured(end)[:, :6]
     figure = style.figure(6.0)
     panels = figure.subplots(6, 1, sharex=True)

@@ -17,12 +17,11 @@ from jax_aero.aero import aero_model
 from jax_aero.base.terminal import Refused
 from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.identify import excite, samples, verdict
+from jax_aero.identify import excite, motion, samples, verdict
+from jax_aero.identify.motion import Found, Model, Numbers, Samples
 from jax_aero.identify.numbers import FOUND, labels
 from jax_aero.identify.prior import numbers_of
 from jax_aero.identify.verdict import Verdict
-from jax_aero.train import identify
-from jax_aero.train.identify import Found, Model, Numbers, Samples
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
@@ -49,7 +48,7 @@ def mistake(
     for _, text, changed in sorted(scores, key=lambda one: one[0])[: verdict.TRIED]:
         if identify_robot(config, source, [changed], prior, mass).verdict.is_explained:
             return text
-    weight = identify.scale_of(model)[0]
+    weight = motion.scale_of(model)[0]
     carried = prior._replace(wrench=np.maximum(prior.wrench, weight * np.eye(6)[2]))
     again = identify_robot(config, source, signals[:1], carried, mass)
     load = float(numbers_of(model, again.found.value).wrench[2])
@@ -67,7 +66,7 @@ def proposals(config: rust.Config, known: Identified) -> list[tuple[str, str, st
         for axis in excite.AXES:
             log = rust.fly(excite.flight(config, [axis], Path(folder))).log
             more, _ = samples.sample(log, config, rust.Robot(config["robot"]))
-            left = identify.expected(known.model, numbers, found, more, samples.PERIOD)
+            left = motion.expected(known.model, numbers, found, more, samples.PERIOD)
             asked = found.prior > 0.0
             remains = float(np.exp(np.mean(np.log(left[asked] / found.deviation[asked]))))
             newly = asked & (found.share < FOUND) & (left < np.sqrt(0.5) * found.prior)
@@ -103,7 +102,7 @@ def identify_robot(
     for log in signals:
         one, reasons = samples.sample(log, config, file, stands)
         if not stands and not reasons.get("feet loaded"):
-            load = identify.unexplained(model, zero, one)[:, 2] / identify.scale_of(robot)[0]
+            load = motion.unexplained(model, zero, one)[:, 2] / motion.scale_of(robot)[0]
             ground = samples.grounded(load, np.linalg.norm(one.linear_velocity, axis=1)) & (one.weight > 0.0)
             one = one._replace(weight=one.weight * ~ground)
             reasons |= {"feet loaded": int(ground.sum())} if ground.any() else {}
@@ -123,7 +122,7 @@ def identify_robot(
     if is_predicted:
         known[-1] = 0
     weighed = None if mass is None else (mass, SCALE_ERROR * mass)
-    found = identify.estimate(model, every, samples.PERIOD, prior, weighed, known=known)
+    found = motion.estimate(model, every, samples.PERIOD, prior, weighed, known=known)
     names = [name for name, *_ in labels(robot)]
     judged = verdict.judge(model, numbers_of(robot, found.value), found, every, again, known, names)
     return Identified(model, every, found, judged, left_out, known)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from jax_aero.body.kinematics import kinematics_at_rest
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotate
+from jax_aero.identify import motion
+from jax_aero.identify.motion import Numbers
 from jax_aero.sweep.perturbation import Perturbation
-from jax_aero.train import identify
-from jax_aero.train.identify import Numbers
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ TURNED = (0.3, 0.03)
 def prior_of(robot: RobotModel, widths: Perturbation, wind: float = 0.0) -> Numbers:
     """Return prior standard deviations: those of uniform distributions with these half widths; `wind` is that of it."""
     jets, joints, links = robot.jets.count, robot.n_joints, robot.aero_links.count
-    deviation, (weight, radius) = 1.0 / np.sqrt(3.0), identify.scale_of(robot)
+    deviation, (weight, radius) = 1.0 / np.sqrt(3.0), motion.scale_of(robot)
     has_bodies = float(widths.mass > 0.0 and joints > 0)
     com, inertia = _of_whole(robot, _bodies(robot, LOAD))
     return Numbers(

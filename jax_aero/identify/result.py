@@ -15,7 +15,7 @@ from jax_aero import rust
 from jax_aero.base import plain_values
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotation_from_rpy
-from jax_aero.train.identify import Model, Numbers, robot_with
+from jax_aero.identify.motion import Model, Numbers, robot_with
 
 Array = NDArray[np.float64]
 

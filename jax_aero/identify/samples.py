@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from jax_aero import rust
 from jax_aero.base.terminal import Refused
 from jax_aero.body.spatial import nearest_rotation
-from jax_aero.train.identify import WIDTH, Samples
+from jax_aero.identify.motion import WIDTH, Samples
 from jax_aero.view import logs, measured
 
 Array = NDArray[np.float64]

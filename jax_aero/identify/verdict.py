@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from jax_aero import rust
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import wxyz_from_rotation
+from jax_aero.identify import motion
+from jax_aero.identify.motion import Found, Model, Numbers, Samples
 from jax_aero.identify.samples import PERIOD
-from jax_aero.train import identify
-from jax_aero.train.identify import Found, Model, Numbers, Samples
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
@@ -110,12 +110,12 @@ def judge(
         sensors = compare_rates(log, more)
         conflicts += sensors.conflicts
         end, noisy = (Samples(*(part[count:] for part in one)) for one in (log, more))
-        noise = identify.unexplained(model, numbers, noisy) - identify.unexplained(model, numbers, end)
-        mass = identify.mass_matrices(model, numbers, end)
-        air = identify.air_of(model, numbers, end, left)
+        noise = motion.unexplained(model, numbers, noisy) - motion.unexplained(model, numbers, end)
+        mass = motion.mass_matrices(model, numbers, end)
+        air = motion.air_of(model, numbers, end, left)
         variance = np.concatenate(
             [
-                identify.unmodelled_variance(model.robot, air) + spread**2,
+                motion.unmodelled_variance(model.robot, air) + spread**2,
                 np.tile(np.square(np.repeat(KINEMATIC, 3)), (len(left), 1)),
             ],
             axis=1,
@@ -348,8 +348,8 @@ def _upside_down(signals: Signals, base: bool) -> Signals:
 
 def score(model: Model, numbers: Numbers, log: Samples) -> float:
     """Return how badly numbers explain a log: the logarithm of what every row leaves and of what no number explains."""
-    left = identify.unexplained(model, numbers, log)
-    variance = identify.unmodelled_variance(model.robot, np.zeros_like(left))[0]
+    left = motion.unexplained(model, numbers, log)
+    variance = motion.unmodelled_variance(model.robot, np.zeros_like(left))[0]
     squares = np.concatenate(
         [np.mean(left**2, axis=0) + variance, np.mean(_kinematic(log) ** 2, axis=0) + np.repeat(KINEMATIC, 3) ** 2]
     )

@@ -11,8 +11,8 @@ from jax_aero import rust
 from jax_aero.aero import NoAero
 from jax_aero.base.places import CONFIGS
 from jax_aero.body.robot import load_robot
+from jax_aero.identify import motion
 from jax_aero.identify.prior import numbers_of, prior_of
-from jax_aero.train import identify
 
 
 def test_winds_missions_and_robots_outside_are_balanced():
@@ -45,7 +45,7 @@ def test_truth_of_the_whole_robot_is_what_its_numbers_say():
         mass=np.array(0.04), com=np.array([0.01, 0.0, -0.02]), inertia=np.array(0.15),
         bodies=0.03 * np.random.default_rng(2).normal(size=(len(robot.masses), 10)),
     )  # fmt: skip
-    actual = identify.robot_with(identify.Model(robot, NoAero(), jnp.asarray(posture)), numbers)
+    actual = motion.robot_with(motion.Model(robot, NoAero(), jnp.asarray(posture)), numbers)
     for found, given in zip(study.whole(robot, actual, posture), numbers[:3], strict=True):
         np.testing.assert_allclose(found, given, rtol=1e-9, atol=1e-12)
 

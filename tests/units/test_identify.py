@@ -21,11 +21,10 @@ from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import exp_so3
 from jax_aero.commands import fly
 from jax_aero.commands import identify as command
-from jax_aero.identify import excite, result, samples, verdict
+from jax_aero.identify import excite, motion, result, samples, verdict
 from jax_aero.identify.numbers import MANY, Z, estimates, labels, records
 from jax_aero.identify.prior import BODIES, numbers_of, prior_of
 from jax_aero.sweep.perturbation import Perturbation
-from jax_aero.train import identify
 from jax_aero.types import State
 
 SPARROW = CONFIGS / "robot" / "sparrow.toml"
@@ -40,7 +39,7 @@ COUNT, PERIOD = 120, 0.05
 def sparrow():
     robot = load_robot(SPARROW)
     aero = Axisymmetric(0.6, next(iter(robot.aero_links.coefficients.values())))
-    return identify.Model(robot, aero, 0.3 * np.ones(robot.n_joints))
+    return motion.Model(robot, aero, 0.3 * np.ones(robot.n_joints))
 
 
 def made_log(model, numbers):
@@ -53,7 +52,7 @@ def made_log(model, numbers):
         phase, rate = rng.uniform(0, 6, (4, entries)), rng.uniform(0.5, 6, (4, entries))
         return jnp.asarray(size * np.sin(rate * time[:, None, None] + phase).mean(1).reshape(COUNT, *shape))
 
-    first = identify.Samples(
+    first = motion.Samples(
         weight=np.ones(COUNT), burnt=400.0 * time, position_rate=np.zeros((COUNT, 3)),
         turn_rate=np.zeros((COUNT, 3)), feet=np.zeros((COUNT, 6 + joints)),
         rotation=jax.vmap(exp_so3)(waves(0.6, 3)), linear_velocity=waves(1.0, 3), linear_acceleration=waves(0.0, 3),
@@ -63,14 +62,14 @@ def made_log(model, numbers):
         thrust_noise=np.zeros((COUNT, jets)), velocity_noise=np.zeros((COUNT, 6)),
         torque=waves(0.0, joints), torque_rate=waves(20.0, joints), wind=waves(8.0, 3),
     )  # fmt: skip
-    left = identify.unexplained(model, numbers, first)
-    error = verdict.accelerations(identify.mass_matrices(model, numbers, first), left)
+    left = motion.unexplained(model, numbers, first)
+    error = verdict.accelerations(motion.mass_matrices(model, numbers, first), left)
     turned = jnp.einsum("kba,kb->ka", first.rotation @ exp_so3(-numbers.imu) @ exp_so3(-numbers.gyro), error[:, 3:6])
     moved = first._replace(linear_acceleration=-error[:, :3], gyro_rate=-turned)
-    left = identify.unexplained(model, numbers, moved)
+    left = motion.unexplained(model, numbers, moved)
     np.testing.assert_allclose(left[:, :6], 0.0, atol=1e-9)
     # What the drives give is 1 + gain times the measured torque, less delay and friction, which are in `left`.
-    gains = 1.0 + identify.of_joints(robot, numbers.torque_gain)
+    gains = 1.0 + motion.of_joints(robot, numbers.torque_gain)
     return moved._replace(torque=left[:, 6:] * (1.0 + numbers.mass) / gains)
 
 
@@ -78,17 +77,17 @@ def drawn(robot, *names):
     """Return prior deviations, and numbers of which those of these names differ from the file by about as much."""
     prior, rng = prior_of(robot, WIDTHS), np.random.default_rng(5)
     parts = {name: np.asarray(part) * rng.uniform(0.5, 1.5, np.shape(part)) for name, part in prior._asdict().items()}
-    return prior, identify.Numbers(**{key: jnp.asarray(part * float(key in names)) for key, part in parts.items()})
+    return prior, motion.Numbers(**{key: jnp.asarray(part * float(key in names)) for key, part in parts.items()})
 
 
 def errors_of(model, prior, truth, monkeypatch):
     """Return found numbers, and by name how many prior deviations they are off and the share of the data."""
-    monkeypatch.setattr(identify, "AIR", (0.0, 0.0, 0.0))
+    monkeypatch.setattr(motion, "AIR", (0.0, 0.0, 0.0))
     for name in ("COHERENT", "COHERENT_INERTIA", "LATE"):
-        monkeypatch.setattr(identify, name, 0.0)
+        monkeypatch.setattr(motion, name, 0.0)
     log = made_log(model, truth)
     mass = float(np.sum(model.robot.masses)) * float(1.0 + truth.mass)
-    found = identify.estimate(model, [log], PERIOD, prior, (mass, 1e-3), (1e-4, 1e-4, 1e-4))
+    found = motion.estimate(model, [log], PERIOD, prior, (mass, 1e-3), (1e-4, 1e-4, 1e-4))
     wanted = np.concatenate([np.ravel(part) for part in truth])
     free = found.prior > 0.0  # the wind was measured
     error = np.abs(found.value - wanted)[free] / found.prior[free]
@@ -99,7 +98,7 @@ def errors_of(model, prior, truth, monkeypatch):
 @pytest.mark.usefixtures("x64")
 def test_every_number_is_recovered_from_a_made_log(sparrow, monkeypatch):
     """Without noise the truth is found, of all numbers at once, to a twentieth of what was known before."""
-    fields = [name for name in identify.Numbers._fields if name not in (*MANY, "wind")]
+    fields = [name for name in motion.Numbers._fields if name not in (*MANY, "wind")]
     prior, truth = drawn(sparrow.robot, *fields)
     prior = prior._replace(**{name: np.zeros_like(getattr(prior, name)) for name in (*MANY, "wind")})
     found, errors = errors_of(sparrow, prior, truth, monkeypatch)
@@ -119,7 +118,7 @@ def test_noise_that_multiplies_numbers_does_not_make_them_small(kind, sparrow, m
     The mean with noise and with its negative is free of what is odd in it.
     """
     for name in ("AIR", "UNMODELLED"):
-        monkeypatch.setattr(identify, name, (0.0, 0.0, 0.0))
+        monkeypatch.setattr(motion, name, (0.0, 0.0, 0.0))
     prior, truth = drawn(sparrow.robot)
     asked = {"thrust": ("thrust_gain", "thrust_offset"), "accelerations": ("com",)}[kind]
     prior = prior._replace(**{name: np.zeros_like(part) for name, part in prior._asdict().items() if name not in asked})
@@ -132,7 +131,7 @@ def test_noise_that_multiplies_numbers_does_not_make_them_small(kind, sparrow, m
         # Derivatives of white noise of the rates, as they are smoothed.
         rates = 2.0 * np.pi * np.fft.rfftfreq(COUNT, PERIOD)[:, None]
         white = np.fft.rfft(0.2 * rng.normal(size=(COUNT, 3)), axis=0)
-        smooth = 1j * rates * np.exp(-0.5 * (rates * identify.WIDTH) ** 2) * white
+        smooth = 1j * rates * np.exp(-0.5 * (rates * motion.WIDTH) ** 2) * white
         noise, field = np.fft.irfft(smooth, COUNT, axis=0), "gyro_rate"
         known = {"velocity_noise": np.tile(np.repeat([0.0, 0.2], 3), (COUNT, 1))}
 
@@ -140,7 +139,7 @@ def test_noise_that_multiplies_numbers_does_not_make_them_small(kind, sparrow, m
         found = []
         for sign in (1.0, -1.0):
             one = log._replace(**{field: getattr(log, field) + sign * noise}, **more)
-            value = identify.estimate(sparrow, [one], PERIOD, prior, None, (1e-4, 1e-4, 1e-4)).value
+            value = motion.estimate(sparrow, [one], PERIOD, prior, None, (1e-4, 1e-4, 1e-4)).value
             numbers = numbers_of(sparrow.robot, value)
             found.append(np.mean(numbers.thrust_gain) if kind == "thrust" else numbers.com[2])
         return float(np.mean(found))
@@ -157,10 +156,10 @@ def test_drives_that_are_wrong_alike_do_not_make_the_robot_light(sparrow, monkey
     truth = truth._replace(torque_gain=jnp.full_like(truth.torque_gain, 0.1))
     prior = prior._replace(**{name: np.zeros_like(part) for name, part in prior._asdict().items() if name not in asked})
     log = made_log(sparrow, truth)
-    found = identify.estimate(sparrow, [log], PERIOD, prior)
+    found = motion.estimate(sparrow, [log], PERIOD, prior)
     assert abs(found.value[0]) < Z * found.deviation[0]
-    monkeypatch.setattr(identify, "ALIKE", 0.0)
-    assert identify.estimate(sparrow, [log], PERIOD, prior).deviation[0] < 0.97 * found.deviation[0]
+    monkeypatch.setattr(motion, "ALIKE", 0.0)
+    assert motion.estimate(sparrow, [log], PERIOD, prior).deviation[0] < 0.97 * found.deviation[0]
 
 
 @pytest.mark.usefixtures("x64")
@@ -187,16 +186,16 @@ def test_bodies_keep_mass_centre_and_inertia_of_the_whole(sparrow):
     other = some._replace(bodies=np.repeat(BODIES, [1, 3, 6]) * rng.normal(size=np.shape(none.bodies)))
     wholes = []
     for numbers in (some, other):
-        changed = identify.robot_with(sparrow, numbers)
+        changed = motion.robot_with(sparrow, numbers)
         kin = kinematics_at_rest(changed, jnp.asarray(sparrow.posture))
         matrix = dynamics(changed, State(jnp.zeros(3), jnp.eye(3), jnp.asarray(sparrow.posture), jnp.zeros(11)), kin)
         wholes.append((changed.mass, kin.com, jnp.trace(matrix.centroidal_inertia)))
         # Second moments of a body are as physical as the file's.
-        signs = [np.sign(np.linalg.eigvalsh(identify._opposite(each.inertias, 0.5))) for each in (robot, changed)]
+        signs = [np.sign(np.linalg.eigvalsh(motion._opposite(each.inertias, 0.5))) for each in (robot, changed)]
         np.testing.assert_array_equal(*signs)
     for one, same in zip(*wholes, strict=True):
         np.testing.assert_allclose(one, same, rtol=1e-9, atol=1e-12)
-    assert not np.allclose(identify.robot_with(sparrow, some).masses, identify.robot_with(sparrow, other).masses)
+    assert not np.allclose(motion.robot_with(sparrow, some).masses, motion.robot_with(sparrow, other).masses)
 
 
 @pytest.mark.usefixtures("x64")
@@ -223,7 +222,7 @@ def test_a_wrong_sign_leaves_more_unexplained_than_none(name, sparrow):
 
     def left(factor):
         guess = truth._replace(**{name: factor * getattr(truth, name)})
-        return float(jnp.mean(identify.unexplained(sparrow, guess, log) ** 2))
+        return float(jnp.mean(motion.unexplained(sparrow, guess, log) ** 2))
 
     assert left(1.0) < 1e-12 < left(0.0) < left(-1.0)
 
@@ -234,9 +233,9 @@ def test_a_robot_that_hovers_still_adds_nothing_to_its_prior(sparrow):
     robot = sparrow.robot
     _, truth = drawn(robot, "mass")
     log = made_log(sparrow, truth)
-    still = identify.Samples(*(jnp.tile(rows[:1], (COUNT, *(1,) * (rows.ndim - 1))) for rows in log))
+    still = motion.Samples(*(jnp.tile(rows[:1], (COUNT, *(1,) * (rows.ndim - 1))) for rows in log))
     prior = prior_of(robot, WIDTHS)
-    found = identify.estimate(sparrow, [still], PERIOD, prior)
+    found = motion.estimate(sparrow, [still], PERIOD, prior)
     assert [share for share, _ in found.undetermined() if share < 0.99] == []
     assert found.deviation.max() <= max(np.max(part) for part in prior)
 
@@ -247,15 +246,15 @@ def test_what_a_log_is_expected_to_add_is_what_it_adds(sparrow):
     robot = sparrow.robot
     prior, truth = drawn(robot)
     rng = np.random.default_rng(7)
-    noise = np.sqrt(identify.unmodelled_variance(robot, np.zeros((1, 6 + robot.n_joints))))[0]
+    noise = np.sqrt(motion.unmodelled_variance(robot, np.zeros((1, 6 + robot.n_joints))))[0]
     logs = []
     for _ in range(2):
         log = made_log(sparrow, truth)
         logs.append(log._replace(torque=log.torque + noise[6:] * rng.normal(size=log.torque.shape)))
     still = logs[1]._replace(joint_velocity=jnp.zeros_like(logs[1].joint_velocity))
-    first, both = (identify.estimate(sparrow, some, PERIOD, prior) for some in (logs[:1], logs))
+    first, both = (motion.estimate(sparrow, some, PERIOD, prior) for some in (logs[:1], logs))
     numbers = numbers_of(robot, first.value)
-    left, nothing = (identify.expected(sparrow, numbers, first, log, PERIOD) for log in (logs[1], still))
+    left, nothing = (motion.expected(sparrow, numbers, first, log, PERIOD) for log in (logs[1], still))
     free = first.prior > 0.0
     assert np.all(left[free] <= first.deviation[free] * (1.0 + 1e-9))  # of what no log shows as it was
     assert np.exp(np.mean(np.abs(np.log(left[free] / both.deviation[free])))) < 1.2
@@ -269,7 +268,7 @@ def test_numbers_that_are_not_asked_for_stay_uncertain(sparrow):
     """`--only` chooses what is shown: with the others fixed at the file's errors the intervals would be too narrow."""
     robot = sparrow.robot
     prior, truth = drawn(robot, "mass", "com")
-    found = identify.estimate(sparrow, [made_log(sparrow, truth)], PERIOD, prior)
+    found = motion.estimate(sparrow, [made_log(sparrow, truth)], PERIOD, prior)
     shown = records(robot, found, command._places(robot, found, ["axes"]))
     assert {row["name"].split(".")[0] for row in shown} == {"thrust_axes"}
     assert len(shown) == 2 * robot.jets.count
@@ -285,7 +284,7 @@ def test_an_interval_of_what_is_not_known_is_that_of_the_prior(sparrow):
         place = names.index(name)
         values, deviations = np.zeros(prior.size), prior.copy()
         values[place], deviations[place] = value, deviation
-        found = identify.Found(values, deviations, prior, np.diag(deviations**2), [], [])
+        found = motion.Found(values, deviations, prior, np.diag(deviations**2), [], [])
         return [ends[place] for ends in estimates(robot, found)[::2]]
 
     half = np.sqrt(3.0) * prior[names.index("com.x")]
@@ -307,14 +306,14 @@ def test_the_file_flies_with_what_was_found(sparrow, tmp_path):
     numbers = axes._replace(mass=jnp.array(0.05), com=jnp.array([0.01, -0.02, 0.005]))
     path = result.write_robot(tmp_path, SPARROW, sparrow, numbers, ["a note"])
     assert tomllib.loads(path.read_text())["base"] == str(SPARROW)
-    written, expected = load_robot(path), identify.robot_with(sparrow, numbers)
+    written, expected = load_robot(path), motion.robot_with(sparrow, numbers)
     np.testing.assert_allclose(written.masses, expected.masses, rtol=1e-9)
     np.testing.assert_allclose(written.coms, expected.coms, atol=1e-7)
     np.testing.assert_allclose(written.jets.axes, expected.jets.axes, atol=1e-6)
     np.testing.assert_allclose(written.inertias[1:], expected.inertias[1:], rtol=1e-6, atol=1e-9)
     plate = load_robot(SPARROW.with_name("platform.toml"))
     numbers = drawn(plate, "inertia")[1]
-    model = identify.Model(plate, sparrow.aero, np.zeros(0))
+    model = motion.Model(plate, sparrow.aero, np.zeros(0))
     path = result.write_robot(tmp_path, Path(plate.source), model, numbers, [])
     np.testing.assert_allclose(load_robot(path).inertias, (1.0 + numbers.inertia) * plate.inertias, rtol=1e-6)
 
@@ -338,7 +337,7 @@ def test_a_root_without_a_mass_leaves_the_offset_to_its_heaviest_link(tmp_path):
     (source / "plate.toml").write_text(plain_values.toml(table) + "\n")
     robot = load_robot(source / "plate.toml")
     numbers = drawn(robot, "com")[1]
-    model = identify.Model(robot, NoAero(), np.zeros(0))
+    model = motion.Model(robot, NoAero(), np.zeros(0))
     path = result.write_robot(tmp_path, source / "plate.toml", model, numbers, [])
     np.testing.assert_allclose(load_robot(path).coms[0] - robot.coms[0], numbers.com, atol=1e-8)
 

@@ -33,13 +33,13 @@ from jax_aero.base.terminal import Refused
 from jax_aero.body.kinematics import kinematics_at_rest
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.body.spatial import exp_so3
+from jax_aero.identify import motion
 from jax_aero.identify.identified import Identified, identify_robot
+from jax_aero.identify.motion import Numbers
 from jax_aero.identify.numbers import FOUND, estimates, labels
 from jax_aero.identify.prior import prior_of
 from jax_aero.results.study import Findings, Study
 from jax_aero.results.work import Work
-from jax_aero.train import identify
-from jax_aero.train.identify import Numbers
 
 Array = NDArray[np.float64]
 
@@ -187,7 +187,7 @@ def truth_of(
     """Return the numbers that make of the modelled robot the one that flew; NaN where they say nothing of it."""
     simulator, scales = drawn["simulator"], drawn["disturbances"]["jets"]["force_scale"]
     sensors, late = simulator["sensors"], simulator["actuation"]
-    sides = jax.vmap(identify.across)(jnp.asarray(model.jets.axes))
+    sides = jax.vmap(motion.across)(jnp.asarray(model.jets.axes))
     tilts = jnp.einsum("jab,ja->jb", sides, jnp.cross(model.jets.axes, jnp.asarray(file.jets.axes)))
     prior = prior_of(file, draw.WIDTHS)
     unknown = Numbers(*(np.full(np.shape(part), np.nan) for part in prior))
