@@ -2,15 +2,14 @@
 
 Every case is the command `jax-aero sweep`, from its start to the finished tables, of perturbed flights in two cells. A
 flight of one tick has all costs but those of its ticks: these are the difference to longer flights of the same sweep.
-Times are processor times of all processes of a command, in which other programs do not count; wall times of two cores
-have the load of the machine at their start beside them. Prints all of it; `--store` keeps it. Takes a quarter of an
-hour; `--part` divides the numbers of flights.
+Times are processor times, in which other programs do not count; wall times have the load of the machine at their start
+beside them. Prints all of it; `--store` keeps it. Takes a quarter of an hour; `--part` divides the numbers of flights.
+`--ray` measures in their place flights of one tick on a Ray cluster of two processes, by wall time.
 """
 
 from __future__ import annotations
 
 import argparse
-import ctypes
 import itertools
 import os
 import subprocess
@@ -29,6 +28,7 @@ from jax_aero.results.study import listing
 from jax_aero.stored import keep
 
 NAME, TITLE = "bench_sweep", "What sweeps cost"
+OF_RAY, TITLE_OF_RAY = "bench_ray", "What a flight takes on a Ray cluster"
 TICK = 0.01
 """Duration of a flight of one tick [s]."""
 COSTS = (
@@ -44,8 +44,6 @@ OVERHEAD = (1000, 10_000, 100_000)
 """Numbers of flights of one tick."""
 ON_RAY = (200, 2000, 20_000)
 """Numbers of flights of one tick on a Ray cluster of two processes; between neighbours is the time of one more."""
-PR_SET_CHILD_SUBREAPER = 36
-"""Of Linux' `prctl`."""
 LOOK = 0.02
 """Time between two looks at a command [s]."""
 SWEEP = """title = "measured"
@@ -67,7 +65,7 @@ class Cost:
 
     flights: int
     processor: float
-    """Processor time of all its processes [s]."""
+    """Processor time [s]; of Ray that of this process alone."""
     wall: float
     """[s]"""
     memory: int
@@ -82,14 +80,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.tools.bench_sweep", description=__doc__)
     parser.add_argument("--part", type=count, default=1, metavar="N", help="fly one of N flights (default all)")
+    parser.add_argument("--ray", action="store_true", help="measure a Ray cluster")
     parser.add_argument("--store", action="store_true", help="store what is measured")
     given = parser.parse_args(arguments)
-    found = measure(given.part)
+    found = (measure_ray if given.ray else measure)(given.part)
     print(listing(found))
     if given.store:
-        part = f" --part {given.part}" if given.part > 1 else ""
+        name, title = (OF_RAY, TITLE_OF_RAY) if given.ray else (NAME, TITLE)
+        options = " --ray" * given.ray + (f" --part {given.part}" if given.part > 1 else "")
         about = f"{manifest.device()['cpu']}; perturbed flights in two cells; one core unless two are named"
-        keep.benchmark(NAME, TITLE, about, f"python -m experiments.tools.bench_sweep --store{part}", found)
+        keep.benchmark(name, title, about, f"python -m experiments.tools.bench_sweep --store{options}", found)
     return 0
 
 
@@ -103,11 +103,15 @@ def measure(part: int = 1) -> dict[str, dict[str, float]]:
     for flights in OVERHEAD:
         bare = fly("test2", TICK, flights // part)
         found[f"{bare.flights} flights of a tick"] = of_overhead(bare)
-    _adopt()
-    ray = [fly("test2", TICK, flights // part, cores=2, ray=True) for flights in ON_RAY]
-    for fewer, more in itertools.pairwise(ray):
-        found[f"Ray, {fewer.flights} to {more.flights} flights of a tick"] = of_more(fewer, more)
     return found
+
+
+def measure_ray(part: int = 1) -> dict[str, dict[str, float]]:
+    """Return the time of one more flight of one tick on a Ray cluster, by numbers of flights."""
+    costs = [fly("test2", TICK, flights // part, cores=2, ray=True) for flights in ON_RAY]
+    return {
+        f"{fewer.flights} to {more.flights} flights": of_more(fewer, more) for fewer, more in itertools.pairwise(costs)
+    }
 
 
 def of_flights(whole: Cost, bare: Cost) -> dict[str, float]:
@@ -143,8 +147,9 @@ def of_overhead(bare: Cost) -> dict[str, float]:
 
 
 def of_more(fewer: Cost, more: Cost) -> dict[str, float]:
-    """Return the processor time of one more flight."""
-    return {"one more [ms]": 1e3 * (more.processor - fewer.processor) / (more.flights - fewer.flights)}
+    """Return the wall time of one more flight."""
+    flights = more.flights - fewer.flights
+    return {"one more [ms]": 1e3 * (more.wall - fewer.wall) / flights, "load": max(fewer.load, more.load)}
 
 
 def fly(base: str, duration: float, flights: int, cores: int = 1, *, ray: bool = False) -> Cost:
@@ -175,25 +180,7 @@ def fly(base: str, duration: float, flights: int, cores: int = 1, *, ray: bool =
         if process.returncode:
             raise Refused(f"`{' '.join(command)}` failed: {(folder / 'messages').read_text()}")
         disk = sum(path.stat().st_size for path in (folder / "measured").rglob("*") if path.is_file())
-        processor = used.ru_utime + used.ru_stime + (_left_behind() if ray else 0.0)
-        return Cost(2 * repeats, processor, wall, memory, disk, load)
-
-
-def _adopt() -> None:
-    """Make processes that those of a command leave behind, as Ray's do, children of this one, whose times count."""
-    if ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0):
-        raise Refused("no process of Ray can be measured; expected Linux")
-
-
-def _left_behind() -> float:
-    """Wait for the processes that a command has left behind, and return their processor time [s]."""
-    total = 0.0
-    while True:
-        try:
-            *_, used = os.wait4(-1, 0)
-        except ChildProcessError:
-            return total
-        total += used.ru_utime + used.ru_stime
+        return Cost(2 * repeats, used.ru_utime + used.ru_stime, wall, memory, disk, load)
 
 
 def _memory(process: int) -> int:
