@@ -9,6 +9,12 @@ use crate::error::BuildError;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Schemas of types, each derived once: that takes as long as reading a configuration.
+static DERIVED: Mutex<BTreeMap<Cow<'static, str>, Arc<Value>>> = Mutex::new(BTreeMap::new());
 
 /// Greatest magnitude of any number of a file: all SI values of a flight are smaller, and its fourth power, which occurs in
 /// the certificate of a QP, does not overflow.
@@ -21,7 +27,7 @@ const SYNONYMS: [&[&str]; 3] =
 /// Schema of one kind of file.
 #[derive(Debug, Clone)]
 pub struct Schema {
-    root: Value,
+    root: Arc<Value>,
 }
 
 /// A node of a schema, with references resolved.
@@ -37,13 +43,16 @@ impl Schema {
     /// Schema of a type.
     #[must_use]
     pub fn of_type<T: JsonSchema>() -> Self {
-        Self { root: schemars::schema_for!(T).to_value() }
+        let mut derived = DERIVED.lock().unwrap_or_else(PoisonError::into_inner);
+        let root =
+            derived.entry(T::schema_id()).or_insert_with(|| Arc::new(schemars::schema_for!(T).to_value()));
+        Self { root: Arc::clone(root) }
     }
 
     /// A schema of types that only a program beside the crate has, in the form of [`Self::json`].
     #[must_use]
     pub fn of_json(root: Value) -> Self {
-        Self { root }
+        Self { root: Arc::new(root) }
     }
 
     /// Schema as JSON.

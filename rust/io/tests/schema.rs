@@ -143,6 +143,23 @@ fn errors_have_parts() {
     assert_eq!(parts(json!({"kind": {}})).key, some("kind.kind"));
 }
 
+mod another {
+    #[derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+    pub struct Limits {
+        pub other: f64,
+    }
+}
+
+/// A schema is derived once for a type, of which another may have the name.
+#[test]
+fn types_of_one_name_have_schemas_of_their_own() {
+    for _ in 0..2 {
+        let (ours, theirs) = (Schema::of_type::<Limits>(), Schema::of_type::<another::Limits>());
+        assert!(ours.root().has("open") && !ours.root().has("other"));
+        assert!(theirs.root().has("other") && !theirs.root().has("open"));
+    }
+}
+
 /// Dotted keys are set under the rules of files; a part of a key that is no table is refused.
 #[test]
 fn keys_are_set_in_a_table() {
