@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 SETTINGS = {
     "joint observer 0.02 s, force 3 1/s": (0.02, 3.0),
     "0.02 s, 2 1/s": (0.02, 2.0),
-    "0.03 s, 3 1/s, as shipped": (0.03, 3.0),
+    "0.05 s, 3 1/s, as shipped": (0.05, 3.0),
 }
 """Time constant of the joint observer [s] and gain of the observed force [1/s] of iRonCub-Mk3's controller."""
 
