@@ -34,6 +34,8 @@ SETTLING = 1.0
 """Time for which these joints hold the initial posture before the controller starts at time zero [s]."""
 CONTACT_TIME = 0.01
 """Time in which a touching corner comes to rest [s]; longer is softer."""
+SIDE = (100.0, 100.0, 1.0)
+"""Half lengths of the box that is the higher side of a step [m]."""
 
 
 class GroundPlant:
@@ -65,7 +67,7 @@ class GroundPlant:
             for index, foot in enumerate(table.get("feet", []))
             for corner in range(len(foot["vertices"]))
         }
-        self._stand(simulator["initial"])
+        self._stand(simulator["initial"], simulator["ground"])
         motors = simulator.get("motors", {})
         shares = [motors.get("load_friction", {}).get(joint, 0.0) for joint in self.robot.joint_names]
         self._load_friction = np.array(shares) if any(shares) else None
@@ -87,11 +89,15 @@ class GroundPlant:
         nu[3:6] = rotation @ nu[3:6]  # MuJoCo's angular part is in body axes
         return rust.State(data.qpos[:3].copy(), rotation, data.qpos[order.joints], nu)
 
-    def _stand(self, initial: Mapping[str, Any]) -> None:
-        """Put the robot down with stiff joints; it is then at rest except for rounding."""
+    def _stand(self, initial: Mapping[str, Any], ground: Mapping[str, Any]) -> None:
+        """Put the robot down with stiff joints, on a slope leaning with it; it is then at rest except for rounding."""
         qpos, model = self.data.qpos, self.model
         qpos[:3] = initial["base_position"]
         mujoco.mju_euler2Quat(qpos[3:7], np.radians(initial["base_rpy_deg"]), "XYZ")
+        if "slope_deg" in ground:
+            turn, rotation = _slope(ground)
+            qpos[:3] = rotation @ qpos[:3]
+            mujoco.mju_mulQuat(qpos[3:7], turn, qpos[3:7].copy())
         qpos[self._order.joints] = initial["joint_position"]
         model.jnt_stiffness[1:] = HOLD_STIFFNESS
         model.qpos_spring[:] = qpos
@@ -148,9 +154,14 @@ class GroundPlant:
         for index in range(count):
             mujoco.mj_contactForce(self.model, data, index, local[index])
         contact = data.contact
-        feet = [self._foot_of_geom[geom] for geom in contact.geom2.tolist()]
+        # The force is that on the second geometry; MuJoCo has planes before spheres and these before boxes.
+        feet, signs = np.zeros(count, int), np.ones((count, 1))
+        for index, (first, second) in enumerate(zip(contact.geom1.tolist(), contact.geom2.tolist(), strict=True)):
+            is_second = second in self._foot_of_geom
+            feet[index] = self._foot_of_geom[second if is_second else first]
+            signs[index] = 1.0 if is_second else -1.0
         # The rows of a contact's frame are its axes; a corner in contact carries no moment.
-        force = (contact.frame.reshape(-1, 3, 3) * local[:, :3, None]).sum(axis=1)
+        force = signs * (contact.frame.reshape(-1, 3, 3) * local[:, :3, None]).sum(axis=1)
         arm = contact.pos - data.site_xpos[self._soles][feet]
         np.add.at(wrenches, feet, np.hstack([force, np.cross(arm, force)]))
         return wrenches
@@ -183,15 +194,7 @@ def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], co
         "solref": [CONTACT_TIME, 1.0],
         "solimp": [0.95, 0.99, 0.001, 0.5, 2.0],
     }
-    spec.worldbody.add_geom(
-        name="ground",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],
-        contype=0,
-        conaffinity=1,
-        condim=3,
-        **contact,
-    )
+    _add_ground(spec, ground, contact)
     for foot in feet:
         body = spec.body(foot["frame"])
         body.add_site(name=f"foot_{foot['name']}")
@@ -221,6 +224,37 @@ def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], co
     model.dof_damping[6:] = motors.get("damping", 0.0)
     model.dof_armature[6:] = motors.get("inertia", 0.0)
     return model
+
+
+def _slope(ground: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Return the ground's rotation from level, as a quaternion and as a matrix (3, 3)."""
+    turn, rotation = np.zeros(4), np.zeros(9)
+    mujoco.mju_euler2Quat(turn, np.radians([*(ground.get("slope_deg") or (0.0, 0.0)), 0.0]), "XYZ")
+    mujoco.mju_quat2Mat(rotation, turn)
+    return turn, rotation.reshape(3, 3)
+
+
+def _add_ground(spec: Any, ground: Mapping[str, Any], contact: Mapping[str, Any]) -> None:
+    """Add the ground: a plane, turned by its slope, and of a step the higher side, as a box on the lower one."""
+    turn, rotation = _slope(ground)
+    step = ground.get("step") or {"start": 0.0, "height": 0.0}
+    start, height = step["start"], step["height"]
+    sides = [("ground", mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 1.0], [0.0, 0.0, min(0.0, height)])]
+    if height != 0.0:
+        centre = [start + np.sign(height) * SIDE[0], 0.0, max(0.0, height) - SIDE[2]]
+        sides.append(("step", mujoco.mjtGeom.mjGEOM_BOX, SIDE, centre))
+    for name, shape, size, centre in sides:
+        spec.worldbody.add_geom(
+            name=name,
+            type=shape,
+            size=size,
+            pos=rotation @ centre,
+            quat=turn,
+            contype=0,
+            conaffinity=1,
+            condim=3,
+            **contact,
+        )
 
 
 def begin(config: Mapping[str, Any]) -> rust.Flight:

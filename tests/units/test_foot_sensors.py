@@ -31,7 +31,8 @@ class Standing:
 
 def measured(changes, ticks=1):
     """The wrenches that the controller is given, (ticks, 2, 6)."""
-    config = rust.load_config("robot_take_off", {"simulator.duration": 1.0, **changes})
+    exact = {"simulator.duration": 1.0, "simulator.sensors.base_rotation": {}}
+    config = rust.load_config("robot_take_off", {**exact, **changes})
     flight, found = rust.Flight(config, world=Standing(config)), []
     for _ in range(ticks):
         found.append(np.array(flight.measurement.foot_wrenches))
@@ -53,6 +54,15 @@ def measured(changes, ticks=1):
 def test_feet_are_measured_with_the_errors_that_are_asked_for(sensor, expected):
     (found,) = measured({"simulator.sensors.feet": sensor})
     assert found == pytest.approx(np.tile(expected, (2, 1)), abs=1e-12)
+
+
+def test_a_wrong_attitude_turns_what_the_feet_measure():
+    """Bias of the attitude about an axis of the base, whose x axis points backwards here."""
+    for axis, sign in ((0, -1.0), (1, -1.0), (2, 1.0)):
+        bias, turned = 0.1 * np.eye(3)[axis], np.sin(0.05) * sign * np.eye(3)[axis]
+        (found,) = measured({"simulator.sensors.base_rotation": {"bias": bias.tolist()}})
+        turn = rust.rotation_from_wxyz([np.cos(0.05), *turned])
+        assert found == pytest.approx(np.tile([*turn @ EXACT[:3], *turn @ EXACT[3:]], (2, 1)), abs=1e-12)
 
 
 def test_feet_are_measured_late():

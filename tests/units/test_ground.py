@@ -105,6 +105,34 @@ def test_state_and_dynamics_are_those_of_the_crate(monkeypatch):
     np.testing.assert_allclose(theirs, ours, rtol=1e-6, atol=1e-6 * np.abs(ours).max())
 
 
+@pytest.mark.parametrize(
+    ("ground_is", "normal"),
+    [
+        ({"slope_deg": [3.0, 0.0]}, [0.0, -np.sin(np.radians(3.0)), np.cos(np.radians(3.0))]),
+        ({"slope_deg": [0.0, 2.0]}, [np.sin(np.radians(2.0)), 0.0, np.cos(np.radians(2.0))]),
+        ({"step": {"start": 1.0, "height": 0.05}}, [0.0, 0.0, 1.0]),
+        ({"step": {"start": 1.0, "height": -0.05}}, [0.0, 0.0, 1.0]),
+    ],
+)
+def test_a_ground_with_a_slope_or_a_step_carries_the_robot(ground_is, normal):
+    """Its soles are on it, as far as contacts are soft, and what they carry is the weight, upwards."""
+    plant = GroundPlant(standing(**{f"simulator.ground.{key}": value for key, value in ground_is.items()}))
+    seen = plant.observe()
+    np.testing.assert_allclose(seen.soles @ normal, 0.0, atol=1e-3)
+    weight = sum(plant.model.body_mass) * 9.81
+    np.testing.assert_allclose(seen.foot_wrenches[:, :3].sum(axis=0), [0.0, 0.0, weight], atol=0.02 * weight)
+
+
+def test_a_step_has_its_height_beyond_its_edge():
+    for height in (0.05, -0.05):
+        model = GroundPlant(standing(**{"simulator.ground.step": {"start": 1.0, "height": height}})).model
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        for x, expected in ((0.9, 0.0), (1.1, height)):
+            down = mujoco.mj_ray(model, data, [x, 0.5, 5.0], [0.0, 0.0, -1.0], None, 1, -1, np.zeros(1, np.int32))
+            assert 5.0 - down == pytest.approx(expected, abs=1e-9), (height, x)
+
+
 def test_dry_friction_grows_with_the_torque_that_reaches_a_joint():
     """As the drives of the crate (M153): an ankle that carries the robot is held by more than one without load."""
     plant = GroundPlant(standing())
@@ -428,6 +456,9 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
             {"simulator.motors.elasticity": {"stiffness": 1e3, "damping": 1.0}},
             r"motors\.elasticity is .*; expected none",
         ),
+        ({"simulator.ground.slope_deg": [0.0, 21.0]}, r"slope_deg\[1\]` is 21"),
+        ({"simulator.ground.step": {"start": 3.0, "height": 0.6}}, r"step\.height` is 0\.6"),
+        ({"simulator.ground.step": {"start": 0.0, "height": 0.1}}, r"step\.start` is 0"),
         ({"simulator.sensors": {"seed": 1}}, r"simulator\.sensors is .*; expected none"),
         ({"controller.torque.steps": 2}, r"controller\.torque\.steps is 2; expected 1"),
         ({"disturbances.joints": [STUCK]}, r"disturbances\.joints\[0\]\.kind is stuck; expected weak or free"),

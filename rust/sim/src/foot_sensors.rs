@@ -1,7 +1,7 @@
 //! Sensors of the wrenches that the ground exerts on the feet.
 //!
 //! ```text
-//! f ← R (1 + c (1 1ᵀ − I)) f(t − d) + b + σ ε        of force and moment, c: cross-talk, R: tilt
+//! f ← T (1 + c (1 1ᵀ − I)) f(t − d) + b + σ ε        of force and moment, c: cross-talk, T: tilt
 //! ```
 //!
 //! Equation M184 of `docs/model`.
