@@ -60,7 +60,7 @@ def test_a_wrong_attitude_turns_what_the_feet_measure():
     """Bias of the attitude about an axis of the base, whose x axis points backwards here."""
     for axis, sign in ((0, -1.0), (1, -1.0), (2, 1.0)):
         bias, turned = 0.1 * np.eye(3)[axis], np.sin(0.05) * sign * np.eye(3)[axis]
-        (found,) = measured({"simulator.sensors.base_rotation": {"bias": bias.tolist()}})
+        (found,) = measured({"simulator.sensors.base_rotation": {"bias": bias.tolist()}, "simulator.sensors.feet": {}})
         turn = rust.rotation_from_wxyz([np.cos(0.05), *turned])
         assert found == pytest.approx(np.tile([*turn @ EXACT[:3], *turn @ EXACT[3:]], (2, 1)), abs=1e-12)
 

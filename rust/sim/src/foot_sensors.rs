@@ -1,8 +1,10 @@
 //! Sensors of the wrenches that the ground exerts on the feet.
 //!
 //! ```text
-//! f ← T (1 + c (1 1ᵀ − I)) f(t − d) + b + σ ε        of force and moment, c: cross-talk, T: tilt
+//! f ← T (1 + c (1 1ᵀ − I)) (R̂ Rᵀ f)(t − d) + b + σ ε        of force and moment, c: cross-talk, T: tilt
 //! ```
+//!
+//! They measure in axes of the robot, and its measured attitude R̂ turns that to inertial axes.
 //!
 //! Equation M184 of `docs/model`.
 
@@ -70,9 +72,16 @@ impl FootSensors {
         }
     }
 
-    /// Replaces true wrenches by what the sensors read; until the delay has passed, by the first ones. Does not allocate.
-    pub fn read(&mut self, wrenches: &mut DVector<f64>) {
+    /// Replaces true wrenches by what the sensors read; until the delay has passed, by the first ones. `turn` is the measured
+    /// attitude relative to the true one, `R̂ Rᵀ`; one that is not measured turns nothing. Does not allocate.
+    pub fn read(&mut self, turn: &Matrix3<f64>, wrenches: &mut DVector<f64>) {
         let Self { config, shown, noise, line, now, is_started } = self;
+        if turn.iter().all(|entry| entry.is_finite()) {
+            for row in (0..wrenches.len()).step_by(3) {
+                let turned = turn * wrenches.fixed_rows::<3>(row);
+                wrenches.fixed_rows_mut::<3>(row).copy_from(&turned);
+            }
+        }
         *now = (*now + 1) % line.len();
         for (place, tick) in line.iter_mut().enumerate() {
             if place == *now || !*is_started {

@@ -27,7 +27,11 @@ pub struct GroundConfig {
 /// An angle of the ground \[deg\].
 #[derive(JsonSchema)]
 #[schemars(inline)]
-struct Tilt(#[schemars(range(min = -20, max = 20))] #[allow(dead_code)] f64); // for the schema
+struct Tilt(
+    #[schemars(range(min = -20, max = 20))]
+    #[allow(dead_code)]
+    f64,
+); // for the schema
 
 /// Ground that is higher, or lower, from one place on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

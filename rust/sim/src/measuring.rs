@@ -118,25 +118,14 @@ impl Measuring {
         if let Some(sensors) = &mut self.sensors {
             self.sample.height = state.base.position.z - self.standing;
             sensors.read(&mut self.sample);
-            self.turn_feet(state);
         }
         if let Some(sensors) = &mut self.foot_sensors {
-            sensors.read(&mut self.sample.foot_wrenches);
+            let turn = self.sample.state.base.rotation * state.base.rotation.transpose();
+            sensors.read(&turn, &mut self.sample.foot_wrenches);
         }
         self.outages.spoil(time, &mut self.sample);
         self.thrust.copy_from_slice(&self.sample.thrust);
         self.measure_shafts();
-    }
-
-    /// Feet are measured in axes of the robot, which the measured attitude turns to inertial ones: `f ← R̂ Rᵀ f`, M184.
-    fn turn_feet(&mut self, truth: &RobotState) {
-        let turn = self.sample.state.base.rotation * truth.base.rotation.transpose();
-        if turn.iter().all(|entry| entry.is_finite()) {
-            for row in (0..self.sample.foot_wrenches.len()).step_by(3) {
-                let shown = turn * self.sample.foot_wrenches.fixed_rows::<3>(row);
-                self.sample.foot_wrenches.fixed_rows_mut::<3>(row).copy_from(&shown);
-            }
-        }
     }
 
     /// Replaces thrusts by the speeds of shafts, where those are measured.
