@@ -16,7 +16,7 @@ TOLERANCE = 1e-9
 """Difference of sums over 200 ticks of differences of thrusts of 200 N: 1e-16 · 200 N · 200, and margin [N]."""
 
 BETWEEN, SPARE = 0.15, 0.1
-"""Longest time between two measurements of the momentum [s], and the share of a tick by which a sum of times is longer."""
+"""Longest time between two measurements of the momentum [s]; share of a tick by which a sum of times is longer."""
 
 WITHOUT = {"joints_predicted", "rotation_predicted", "velocity_predicted"}
 """Modes of ticks without measured momentum."""

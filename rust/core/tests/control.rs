@@ -679,15 +679,15 @@ fn a_first_velocity_is_no_residual_of_the_joints() {
     let mut first = Measurement::start(&config);
     first.state.velocity.fill(0.3);
     let mut controller = controller(&config);
-    let compared: Vec<_> = (0..5)
-        .map(|tick| {
-            let mut sample = Measurement { time: TIME_STEP * f64::from(tick), ..first.clone() };
-            sample.state.base.position.x += [0.0, 0.0, 9.0, 9.0, 9.0][tick as usize] + 1e-3 * f64::from(tick);
-            let modes = sample.tick(&mut controller).modes;
-            let is_compared = controller.state().joints().unwrap().mean().amax() > 0.0;
-            (modes.contains(Modes::BEGUN_AGAIN), is_compared)
-        })
-        .collect();
+    let mut tick = 0.0;
+    let compared = [0.0, 0.0, 9.0, 9.0, 9.0].map(|error| {
+        let mut sample = Measurement { time: TIME_STEP * tick, ..first.clone() };
+        sample.state.base.position.x += error + 1e-3 * tick;
+        tick += 1.0;
+        let modes = sample.tick(&mut controller).modes;
+        let is_compared = controller.state().joints().unwrap().mean().amax() > 0.0;
+        (modes.contains(Modes::BEGUN_AGAIN), is_compared)
+    });
     assert_eq!(compared, [(false, false), (false, true), (false, true), (false, true), (true, false)]);
 }
 
