@@ -231,8 +231,10 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
 
 class ForceFactorsConfig(Struct, frozen=True, kw_only=True):
     drag: float = 1.0
+    drag_of: dict[str, float] | None = None
     links: dict[str, float] = {}
     normal: float = 1.0
+    normal_of: dict[str, float] | None = None
     scale: float = 1.0
 
 

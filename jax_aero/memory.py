@@ -1,6 +1,6 @@
 """Whether a controller and its copy stay together: the derivative of its ticks, its own command fed back.
 
-Two computers that hear the same measurements differ by roundings, and each continues from what it commanded itself.
+Two computers that receive the same measurements differ by roundings, and each continues from what it commanded itself.
 Where a linear controller has the gain K, its estimator the gain L and the robot the model (A, B, C), the difference of
 their states follows A − B K − L C. That A − B K and A − L C are stable, and with them the flight, says nothing of it.
 

@@ -349,7 +349,7 @@ class ContactTick:
 
 @dataclass(frozen=True)
 class Estimates:
-    """The robot as the law knows it: measured, predicted where it is not measured, or estimated.
+    """Estimate of the robot in a tick: measured, predicted where it is not measured, or estimated.
 
     Attributes
     ----------
@@ -430,7 +430,7 @@ class Tick:
     setpoint
         The set-point that was followed.
     estimates
-        The robot as the law knows it: measured, predicted where it is not measured, or estimated.
+        Estimate of the robot in a tick: measured, predicted where it is not measured, or estimated.
     contact
         The feet; `None` for a controller that cannot stand. The rates of their forces are also unknowns of
         `momentum_qp`, between thrust rates and joint velocities.

@@ -203,7 +203,7 @@ def made_up_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def x64() -> Iterator[None]:
-    """Double precision for the JAX tests of a module; nothing else sees it."""
+    """Double precision for the JAX tests of a module alone."""
     import jax
 
     with jax.enable_x64(True):

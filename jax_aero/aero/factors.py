@@ -5,6 +5,8 @@ Equation M40 of `docs/model`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import jax.numpy as jnp
 from jaxtyping import Float
 
@@ -19,10 +21,10 @@ class WeightedModel:
     """Another model with its forces scaled by factors."""
 
     model: AeroModel
-    drag: Float[Array, ""]
-    """Factor on the component along `v_air`."""
-    normal: Float[Array, ""]
-    """Factor on the component across `v_air`."""
+    drag: Float[Array, " L"]
+    """Factors on the components along `v_air`."""
+    normal: Float[Array, " L"]
+    """Factors on the components across `v_air`."""
     links: Float[Array, " L"]
     """Factors on the whole force on each link."""
 
@@ -36,12 +38,20 @@ class WeightedModel:
         is_still = square == 0.0
         share = jnp.sum(forces * v_air, axis=1, keepdims=True) / jnp.where(is_still, 1.0, square)
         along = jnp.where(is_still, 0.0, share * v_air)
-        return self.links[:, None] * (self.drag * along + self.normal * (forces - along))
+        return self.links[:, None] * (self.drag[:, None] * along + self.normal[:, None] * (forces - along))
 
 
 def weight_forces(model: AeroModel, factors: ForceFactorsConfig, robot: RobotModel) -> AeroModel:
     """Return the model with factors on its forces, or the model itself without any."""
     if factors == ForceFactorsConfig():
         return model
-    by_link = factors.scale * leaf([factors.links.get(name, 1.0) for name in robot.aero_links.names])
-    return WeightedModel(model, leaf(factors.drag), leaf(factors.normal), by_link)
+
+    def by_link(every: float, named: Mapping[str, float] | None) -> Float[Array, " L"]:
+        return every * leaf([(named or {}).get(name, 1.0) for name in robot.aero_links.names])
+
+    return WeightedModel(
+        model,
+        by_link(factors.drag, factors.drag_of),
+        by_link(factors.normal, factors.normal_of),
+        by_link(factors.scale, factors.links),
+    )

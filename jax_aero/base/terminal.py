@@ -163,7 +163,7 @@ def refuse(message: str) -> int:
 def run_with_output(work: Callable[[], int]) -> int:
     """Run a whole command and write all its output; return its exit status.
 
-    Characters that the output's encoding lacks are replaced, and those that a terminal obeys are shown. A closed pipe
+    Characters that the output's encoding lacks are replaced, and those that control a terminal are shown. A closed pipe
     ends the command with 141, silently.
     """
     for stream in (sys.stdout, sys.stderr):

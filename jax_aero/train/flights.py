@@ -1,4 +1,4 @@
-"""What flights record of the air: logs as a disturbance observer sees them, and what windows a network is trained on.
+"""What flights record of the air: wrenches that a disturbance observer estimates from logs, and what windows a network is trained on.
 
     LOG ──read──► Flight: attitude, air, joints, observed wrench ──windows──► Windows of jax_aero.train.wrench
 
@@ -40,13 +40,13 @@ from jax_aero.train.wrench import ObservedWrenches, Windows, windows_of, wrench
 from jax_aero.types import Array
 
 NEEDED = (*samples.NOISY, "raw_wind")
-"""Signals without which a log tells nothing of the air."""
+"""Signals without which a log does not determine the air."""
 GAIN = 3.0
 """Gain of the observer of a log whose controller had none [1/s]; that of `configs/control/observer.toml`."""
 LIMITS = {"force_max": 600.0, "moment_max": 100.0}
 """Of that observer [N, N m]."""
 WIND_LEAST, WIND_MOST = 2.0, 45.0
-"""Speed of the air that a robot feels in a tenth of a log at least, and in any row at most [m/s]."""
+"""Speed of the air relative to the robot in a tenth of a log at least, and in any row at most [m/s]."""
 STUCK = 3.0
 """Time for which a wind that is measured does not stay the same to the last bit [s]."""
 CONSTANT_MOST = 0.3
@@ -270,7 +270,7 @@ class Sampling:
     window: float
     """Longest window."""
     settling: float
-    """Time at the start of a window in which the observer forgets what it held."""
+    """Time at the start of a window in which the observer's first state decays."""
 
 
 def windows(

@@ -1,6 +1,6 @@
 """Axisymmetric coefficients from observed wrenches: the alternative to a network, with 6 numbers a pair of links.
 
-The wrench of the axisymmetric model is linear in its coefficients `w`, and so is what an observer sees of it:
+The wrench of the axisymmetric model is linear in its coefficients `w`, and so is an observer's estimate of it:
 
     minimise  Σ_k |A_k w + C_k c − ẑ_k|² / σ² + 1/(K Δt) (|(w − w₀) / a₀|² + |c / σ_c|²)
 
@@ -68,7 +68,7 @@ def _pairs(names: Any) -> list[list[int]]:
 def _columns(
     objective: ObservedWrenches, units: Float[Array, "c L 6"], window: Windows
 ) -> tuple[Float[Array, "T 6 c"], Float[Array, "T 6 c"]]:
-    """Return what the observer sees of each coefficient, over its noise, and that without what constants explain."""
+    """Return the observer's estimate of each coefficient, over its noise, and that without what constants explain."""
 
     def of_row(wind: Array, axes: Array, arms: Array, turn: Array, pressure: Array) -> Array:
         def of_unit(unit: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Observed wrenches as what a network of link forces is trained on: what a disturbance observer sees in flights.
+"""Observed wrenches as what a network of link forces is trained on: estimates of a disturbance observer in flights.
 
     w = q (R Σ a, R Σ x × a),   q = ρ/2 |v|²                       force and moment about the centre of mass
     z_k = z_{k−1} + (1 − e^{−K Δt}) (½ (w_k + w_{k−1}) − z_{k−1})     the observer's filter [M84], by rows Δt apart
@@ -53,7 +53,7 @@ class Windows(NamedTuple):
     weight: Any
     """(W, T) 1 for rows that count, 0 for others."""
     constants: Any
-    """(W, T, 6, 7) what the observer sees of each constant."""
+    """(W, T, 6, 7) estimate of each constant."""
     solve: Any
     """(W, 7, 7) matrix that makes the best constants of the gradient of the squared errors."""
 
@@ -181,7 +181,7 @@ class ObservedWrenches:
         return Errors(before + basis @ constants, constants)
 
     def filtered(self, total: Float[Array, "T 6 ..."], start: Float[Array, "6 ..."]) -> Float[Array, "T 6 ..."]:
-        """Return what the observer sees of a wrench (T, 6), or of columns (T, 6, …), from what it holds at first."""
+        """Return the observer's estimate of a wrench (T, 6), or of columns (T, 6, …), from its state at first."""
         share = jnp.asarray(self._share).reshape(6, *[1] * (start.ndim - 1))
 
         def tick(carry: tuple[Array, Array], now: Array) -> tuple[tuple[Array, Array], Array]:
@@ -243,7 +243,7 @@ def windows_of(
 ) -> list[tuple[slice, Float[np.ndarray, " T"]]]:
     """Return windows of `length` rows that cover `count` rows, but for a tenth of one, and which of their rows count.
 
-    A row counts if it, and all rows of the `settling` before it in its window, are valid: the observer has forgotten
+    A row counts if it, and all rows of the `settling` before it in its window, are valid: the observer no longer depends on
     what it held before.
     """
     length = min(length, count)

@@ -102,7 +102,7 @@ def merge(rows: Iterable[Row]) -> list[Row]:
 
 
 def differences(ours: ArrayLike, theirs: ArrayLike) -> NDArray[np.float64]:
-    """Return the greatest difference in every sample (n, ...); what neither knows is equal."""
+    """Return the greatest difference in every sample (n, ...); what is unknown in both is equal."""
     ours, theirs = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
     apart = np.where(np.isnan(ours) & np.isnan(theirs), 0.0, np.abs(ours - theirs))
     return np.asarray(np.max(apart.reshape(len(apart), -1), axis=1, initial=0.0))

@@ -72,7 +72,7 @@ WRONG_SPEED, WRONG_THRUST = 3.0, (0.3, 1.5)
 """Speed at which joints of a flight astray seem to run away [rad/s, m/s], and ratio of its thrusts to the true ones."""
 
 UNGUARDED = {"controller.fault_detection": {}, "controller.channels.jump": False}
-"""Changes with which the crate's controller believes what it is given."""
+"""Changes with which the crate's controller accepts any measurement."""
 
 
 Signals = Mapping[str, NDArray[np.float64]]
@@ -154,7 +154,7 @@ def verify_flight(config: Mapping[str, Any], backend: str = "tree") -> Verified:
 
 
 def verify_astray(config: Mapping[str, Any], scenario: Scenario, start: FlightState) -> tuple[list[Section], list[Row]]:
-    """Compare flights whose controller is given what is wrong, and believes it; return JAX's ticks too."""
+    """Compare flights whose controller is given what is wrong, and accepts it; return JAX's ticks too."""
     sections: list[Section] = []
     rows: list[Row] = []
     config = rust.set_keys(config, UNGUARDED)

@@ -32,7 +32,7 @@ from jax_aero.verify.flight import compare_signals, replay_rounded, states_of, t
 
 
 class Recorded(NamedTuple):
-    """A flight of the crate with what the law knew of the robot in every tick."""
+    """A flight of the crate with the law's estimate of the robot in every tick."""
 
     crate: FlightResult
     handed: Measurement

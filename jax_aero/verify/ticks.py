@@ -39,7 +39,7 @@ OVERFLOW = 1e100
 def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], sides: list[Sides] | None = None) -> list[Row]:
     """Compare every intermediate value of the controller, and its command, in two ticks from each of given samples.
 
-    The second tick is that of the next sample, with what else the first remembers: torques of the last tick, plans and
+    The second tick is that of the next sample, with the first one's memory: torques of the last tick, plans and
     observers. The sides that choices have taken are appended to `sides`.
     """
     return compare_ticks(config, samples, twin_ticks(*law_of(config), samples, sides))

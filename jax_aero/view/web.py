@@ -91,7 +91,7 @@ def fill_page(
         Whether all networks of `configs/aero/networks` can be chosen, or only the default one.
     folders
         Folders whose files the page may contain, beside `configs/`, `results/` and those of the recordings. A
-        configuration may come from strangers and name any file.
+        configuration may be another's and name any file.
 
     Raises
     ------

@@ -306,7 +306,7 @@ def air(flights: Flights, name: str) -> None:
 
 @action("networks")
 def fly_network(flights: Flights, name: str) -> None:
-    """Fly TEST2 in the air of a network, which the controller knows."""
+    """Fly TEST2 in the air of a network, which is the controller's model too."""
     card, model = NETWORKS / f"{name}.json", places.find("aero", "network")
     flights.flight("test2", *(word for part in AIRS for word in ("--set", f'{part}={{base="{model}",card="{card}"}}')))
 

@@ -71,7 +71,7 @@ def test_both_find_the_same_wind(replayed, measured):
 
 def test_sensitivity_is_what_a_lasting_force_does(replayed, measured, monkeypatch):
     """`C` of M110 beside horizontal winds that are estimated with 0.1 N more and less along each horizontal axis."""
-    monkeypatch.setattr(wind_observer, "WALK", 3.0)  # forgets the wind of zero, at which it begins, in this second
+    monkeypatch.setattr(wind_observer, "WALK", 3.0)  # the wind of zero, at which it begins, decays in this second
     _, replay = replayed
     size = 0.1
     sensitivity = np.asarray(replay(jnp.zeros(3)).sensitivity[-1, :2, :2])

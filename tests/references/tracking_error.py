@@ -19,7 +19,7 @@ class TrackingError:
         self.step, self.beyond = config["controller"]["time_step"], 0
 
     def strays(self, tick: Any) -> bool:
-        """Return whether it does in a tick of the crate: from what the law knows and was given there."""
+        """Return whether it does in a tick of the crate: from what the law estimated and was given there."""
         state, given = tick.estimates.state, tick.setpoint
         turn = np.asarray(given.rotation).T @ np.asarray(state.base_rotation)
         omega = np.asarray(state.velocity)[3:6]

@@ -53,7 +53,7 @@ def truth(log, config):
 
 
 def test_the_wrench_is_that_of_the_air_whatever_controller_flew(log, config, robot, agree):
-    """An observer without a model saw it; with a model, or none of both, the log is replayed through one."""
+    """An observer without a model estimated it; with a model, or none of both, the log is replayed through one."""
     flight = observed.flight_of("log", log, config, robot)
     np.testing.assert_array_equal(flight.wrench, log["unmodelled_wrench"])
     late = flight.is_valid

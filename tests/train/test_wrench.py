@@ -1,4 +1,4 @@
-"""What a disturbance observer sees of the air, term by term, against the equations written out in NumPy."""
+"""What a disturbance observer estimates of the air, term by term, against the equations written out in NumPy."""
 
 from dataclasses import replace
 
@@ -77,7 +77,7 @@ def one(windows, number=0):
 
 
 def observed(windows, areas, constants=None):
-    """Windows in which the observer saw areas (W, T, L, 3), and constants (7,)."""
+    """Windows in which the observer estimated areas (W, T, L, 3), and constants (7,)."""
     seen = []
     for number in range(len(windows.x)):
         of = one(windows, number)

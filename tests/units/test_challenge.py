@@ -1,4 +1,4 @@
-"""The challenge: a controller sees what is measured alone, and one that does nothing or fails has no score."""
+"""The challenge: a controller is given what is measured alone, and one that does nothing or fails has no score."""
 
 import gc
 import hashlib

@@ -1,4 +1,4 @@
-"""A robot's numbers from made-up logs, whose motion obeys its equations with other numbers than those of its file."""
+"""A robot's numbers from made-up logs, whose motion follows its equations with other numbers than those of its file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A controller and its copy that hear the same measurements stay together."""
+"""A controller and its copy that receive the same measurements stay together."""
 
 import json
 

@@ -787,7 +787,7 @@ def test_marks_of_a_missing_value_are_named(foreign, tmp_path, capsys):
     assert logs.read(tmp_path / "log.csv", config, tmp_path / "map.toml").signals["raw_wind"][0].rows[3] == 99.0
 
 
-# --- what files of strangers need in memory
+# --- what files of others need in memory
 
 
 def test_gaps_are_few(exact, tmp_path, capsys):

@@ -60,7 +60,7 @@ CHANGES = {
 
 
 def test_every_file_that_a_flight_names_counts_in_its_digest(tmp_path):
-    """A new kind of path in the configuration that the digest forgets fails here."""
+    """A new kind of path in the configuration that the digest lacks fails here."""
     config = rust.load_config("test4")
     for place, key in ((config, "wind"), (config["disturbances"], "controller_wind"), (config, "mission")):
         (tmp_path / f"{key}.csv").write_text(key)

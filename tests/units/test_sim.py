@@ -188,8 +188,7 @@ def test_forces_of_another_shape_are_refused_when_they_are_traced(prepared, shap
     """Also with factors on them."""
     scenario, state = prepared
     model = Answers(jnp.ones(shape))
-    one = jnp.ones((), jnp.float32)
-    for air in (model, WeightedModel(model, one, one, jnp.ones(13))):
+    for air in (model, WeightedModel(model, *jnp.ones((3, 13), jnp.float32))):
         blown = replace(scenario, plant=replace(scenario.plant, aero=air))
         message = rf"`forces` of Answers has shape {re.escape(str(shape))}; expected \(13, 3\)"
         with pytest.raises(ValueError, match=message):

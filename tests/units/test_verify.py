@@ -23,7 +23,7 @@ def test_the_worst_sample_counts_against_the_greatest_answer():
         row = compare("flight", "wind", [[0.0], [apart]], [[0.0], [0.0]], 1e-6, relative=False)
         assert row.absolute == row.relative == abs(apart)  # there is nothing to be relative to
         assert row.agrees == agrees
-    assert compare("tick", "wind", [np.nan], [np.nan], 0.0).agrees  # neither knows it
+    assert compare("tick", "wind", [np.nan], [np.nan], 0.0).agrees  # unknown in both
     assert not compare("tick", "wind", [np.nan, 1.0], [1.0, 1.0], 0.02).agrees
     assert not compare("tick", "wind", [1.0, 1.0], [1.0, np.nan], 0.02).agrees
 

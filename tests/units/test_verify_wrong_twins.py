@@ -56,7 +56,7 @@ def changeable(config) -> tuple[Scenario, FlightState]:
     world, robot, one = scenario.plant, scenario.plant.robot, np.ones(())
     way = scenario.actuation
     parts = {item.name: getattr(world, item.name) for item in fields(Plant)}
-    parts["aero"] = WeightedModel(world.aero, one, one, np.ones(robot.aero_links.count))
+    parts["aero"] = WeightedModel(world.aero, *np.ones((3, robot.aero_links.count)))
     world = GyratingPlant(**parts, gyration=one)
     model = scenario.controller_model or robot
     return replace(scenario, plant=world, actuation=replace(way, lag=0 * way.lag), controller_model=model), start

@@ -327,7 +327,7 @@ def test_a_dragged_wind_is_of_the_flight_that_it_was_dragged_in(visit):
     assert profile == "samples"
     assert "dragged wind" in dict(config)["title"]
     assert dict(config)["description"].endswith(link)
-    # What is still being turned to is forgotten with the rest.
+    # A turn in progress is dropped with the rest.
     page.seek(13.0)
     page.tab.evaluate("page.blow([0, -6])")
     page.wait("page.settings.steer.at(-1)[2] === -6")

@@ -74,7 +74,7 @@ def flight_of(case: Case, folder: Path) -> rust.Config:
 def draw(config: rust.Config, seed: int, number: int, folder: Path) -> tuple[rust.Config, Array]:
     """Return the flight of a drawn robot, and the gains of its measured torques (n,); files go to the folder.
 
-    The controller knows the robot's file with the errors of `WIDTHS`.
+    The controller's model is the robot's file with the errors of `WIDTHS`.
     """
     rng = np.random.default_rng([seed, number, 1])
     robot = rust.Robot(config["robot"])

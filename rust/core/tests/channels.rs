@@ -41,7 +41,7 @@ fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
 }
 
 /// A height that is measured is used; without one that can be right the last one moves with the base, and after 0.15 s a mode says
-/// so. A step of the ground is believed when predictions have been contradicted for long enough.
+/// so. A step of the ground is accepted when predictions have been contradicted for long enough.
 #[test]
 fn a_height_is_measured_predicted_or_stepped() {
     let mut rig = Rig::new(with_jumps());
@@ -169,7 +169,7 @@ fn lose_everything(sample: &mut Measurement) {
     sample.wind.fill(f64::NAN);
 }
 
-/// An estimator follows what is measured; of what is missing or has jumped it sees no number.
+/// An estimator follows what is measured; of what is missing or has jumped it is given no number.
 #[test]
 fn an_estimator_follows_what_is_accepted() {
     let mut rig = Rig::new(with_jumps());

@@ -389,7 +389,7 @@ fn wrenches_of_feet_that_do_not_carry_are_fixed() {
     }
 }
 
-/// A robot that stands still in still air feels no wind: what carries it is its feet.
+/// Of a robot that stands still in still air no wind is estimated: its feet carry it.
 #[test]
 fn the_ground_is_no_wind() {
     let mut standing = controller(|law| law.wind_observer = true);

@@ -950,7 +950,7 @@ fn rate_bounds_fade_out_at_the_limits() {
     }
 }
 
-/// At zero and at full thrust, and with a joint beyond its limit, the commands obey the bounds of the tick.
+/// At zero and at full thrust, and with a joint beyond its limit, the commands are within the bounds of the tick.
 #[test]
 fn commands_obey_their_bounds_at_the_limits() {
     let config = experiment("test2");
@@ -1215,7 +1215,7 @@ fn bad_numbers_are_refused_by_key() {
     }
 }
 
-/// The momentum cannot tell jets whose columns are nearly parallel: a robot with such a pair is refused by its jets' names. The
+/// The momentum does not distinguish jets whose columns are nearly parallel: a robot with such a pair is refused by its jets' names. The
 /// recommended one is not.
 #[test]
 fn jets_that_the_momentum_cannot_tell_are_refused() {

@@ -94,7 +94,7 @@ impl Robot {
         let accelerated =
             self.free * free(f64::from(self.tick)) + &self.gain * torque(self.tick - self.late[0]);
         if self.holds {
-            // The free acceleration is that of the middle of two ticks, as the difference of positions sees it.
+            // The free acceleration is that of the middle of two ticks, as in the difference of positions.
             let held = &self.gain * torque(self.tick - self.late[0]);
             self.position.axpy(-0.5 * STEP * STEP, &held, 1.0);
         }

@@ -33,10 +33,17 @@ fn axisymmetric(robot: &RobotModel) -> AeroModel {
     load_aero(&config, robot).unwrap()
 }
 
-/// The same with other factors on drag, normal force and a link.
+/// The same with other factors on drag, normal force and single links.
 fn weighted(robot: &RobotModel) -> AeroModel {
-    let links = [(robot.aero_links[2].name.clone(), 0.4)].into();
-    let factors = ForceFactorsConfig { scale: 1.1, drag: 0.7, normal: 1.6, links };
+    let on = |link: usize, factor| [(robot.aero_links[link].name.clone(), factor)].into();
+    let factors = ForceFactorsConfig {
+        scale: 1.1,
+        drag: 0.7,
+        normal: 1.6,
+        links: on(2, 0.4),
+        drag_of: on(3, 0.5),
+        normal_of: on(5, 0.3),
+    };
     axisymmetric(robot).weight_forces(&factors, robot, "test").unwrap()
 }
 
@@ -61,7 +68,7 @@ impl Case {
         Self { robot, state, thrust, wind: random_vector(&mut rng, 12.0) }
     }
 
-    /// Terms of a controller that sees this robot.
+    /// Terms of a controller that measures this robot.
     fn controller(&self, config: &ScenarioConfig) -> Running {
         let robot = load_robot(&config.robot).unwrap();
         let mut controller = Running::new(config.controller(robot).unwrap());

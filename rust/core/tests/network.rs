@@ -145,12 +145,24 @@ fn factors_apply_to_networks() {
         forces(&robot, &mut model, &state, wind)
     };
     let plain = of(&ForceFactorsConfig::default());
-    let links = BTreeMap::from([("head".to_owned(), 3.0)]);
-    let weighted = of(&ForceFactorsConfig { scale: 2.0, drag: 0.5, normal: 1.5, links });
+    let on = |link: &str, factor| BTreeMap::from([(link.to_owned(), factor)]);
+    let weighted = of(&ForceFactorsConfig {
+        scale: 2.0,
+        drag: 0.5,
+        normal: 1.5,
+        links: on("head", 3.0),
+        drag_of: on("chest", 0.2),
+        normal_of: on("root_link", 0.7),
+    });
     for (link, (force, v)) in plain.forces_i.iter().zip(&plain.v_air_i).enumerate() {
         let along = v * (force.dot(v) / v.norm_squared());
-        let factor = if robot.aero_links[link].name == "head" { 6.0 } else { 2.0 };
-        let expected = factor * (0.5 * along + 1.5 * (force - along));
+        let (whole, drag, normal) = match robot.aero_links[link].name.as_str() {
+            "head" => (6.0, 0.5, 1.5),
+            "chest" => (2.0, 0.1, 1.5),
+            "root_link" => (2.0, 0.5, 1.05),
+            _ => (2.0, 0.5, 1.5),
+        };
+        let expected = whole * (drag * along + normal * (force - along));
         assert_within!((weighted.forces_i[link] - expected).norm(), 1e-14 * (1.0 + expected.norm()));
     }
 }

@@ -226,7 +226,7 @@ fn degenerate_corners_do_not_cycle() {
     }
 }
 
-/// The certificate sees an error of every kind.
+/// The certificate detects an error of every kind.
 #[test]
 fn the_certificate_sees_small_errors_of_every_kind() {
     let mut rng = rng(6);

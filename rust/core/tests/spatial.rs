@@ -93,7 +93,7 @@ fn log_is_the_inverse_of_exp() {
     }
 }
 
-/// `S(v) u = v × u`, and the vee of a matrix undoes it and sees nothing symmetric.
+/// `S(v) u = v × u`, and the vee of a matrix undoes it; that of a symmetric matrix is zero.
 #[test]
 fn skew_is_the_cross_product() {
     let mut rng = rng(2);

@@ -99,7 +99,7 @@ fn it_says_how_sure_it_is() {
     assert_within!((first.std() - Vector3::new(WALK, WALK, VERTICAL_STD)).amax(), 1e-12);
     let sure = estimate(Vector3::new(0.0, -10.0, 0.0), 3.0).std();
     println!("{sure}");
-    // Along the wind the force says most; the walk alone would double in three seconds.
+    // Along the wind the force determines most; the walk alone would double in three seconds.
     assert!(sure.y < sure.x && sure.x < 2.0 * WALK && sure.z <= VERTICAL_STD, "{sure}");
 }
 

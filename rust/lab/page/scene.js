@@ -258,7 +258,7 @@ export class Scene {
     this.motes = Array.from({ length: STREAKS }, (_, index) => new THREE.Vector3(...place(index)));
   }
 
-  /** Puts the camera where it sees robot and wind from behind the right shoulder. */
+  /** Puts the camera behind the right shoulder, so that robot and wind are in view. */
   view() {
     this.camera.position.set(-3.7, -2.0, 1.9).add(this.at);
     this.controls.target.set(0, 0, 0.85).add(this.at);

@@ -459,7 +459,7 @@ pub fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<B
     Ok(out)
 }
 
-/// The robot as the law knows it.
+/// The robot as the law computes with it.
 fn estimate_to_dict<'py>(py: Python<'py>, estimate: &Estimate) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     out.set_item("state", state_arrays(py, &estimate.robot.state)?)?;

@@ -47,8 +47,8 @@ pub struct Disturbances {
 }
 
 impl Disturbances {
-    /// Returns the controller's model of `robot`: with model errors, and with the limits of weak jets if the controller
-    /// knows them.
+    /// Returns the controller's model of `robot`: with model errors, and with the limits of weak jets if these
+    /// are known.
     ///
     /// # Errors
     /// As [`ModelError::check`] and [`JetFaultsConfig::check`].

@@ -125,6 +125,10 @@ fn what_cannot_be_left_out_is_refused_by_name() {
     assert!(unknown.contains("l_lower_leg"), "{unknown}");
     let nan = message(&|config| config.disturbances.aero_estimate.drag = f64::NAN);
     assert!(nan.contains("disturbances.aero_estimate.drag is NaN"), "{nan}");
+    let tail = message(&|config| {
+        config.disturbances.aero_estimate.normal_of = BTreeMap::from([("tail".to_owned(), 0.0)]);
+    });
+    assert!(tail.contains("disturbances.aero_estimate.normal_of") && tail.contains("`tail`"), "{tail}");
     let plant = message(&|config| config.disturbances.aero.normal = f64::INFINITY);
     assert!(plant.contains("disturbances.aero.normal is inf"), "{plant}");
 }

@@ -138,7 +138,7 @@ fn a_known_latency_is_compensated() {
     }
 }
 
-/// Torques that are later than the controller knows: with an estimator it uses the latency that it measures.
+/// Torques that are later than configured in the controller: with an estimator it uses the latency that it measures.
 #[test]
 fn a_measured_latency_is_used() {
     let fly = |name: &str, torque_delay: f64, is_used: bool| {

@@ -1,4 +1,4 @@
-//! A wind that is not known well, a robot that is not known well, and jets that do not obey.
+//! Errors of the measured wind and of the robot's model, and jets that do not follow their commands.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]

@@ -3,6 +3,7 @@
 //! Equation M116 of `docs/model`.
 
 use super::attack::{Attack, normal_direction};
+use super::factors::LinkFactors;
 use super::{AeroModel, Axisymmetric, ForceFactors};
 use nalgebra::{Matrix3, Vector3};
 
@@ -117,11 +118,13 @@ impl ForceFactors {
         of_model: &ForceDerivatives,
         v_air_i: &Vector3<f64>,
     ) -> ForceDerivatives {
-        let Some(factor) = self.links.get(link) else { return ForceDerivatives::zero() };
+        let Some(&LinkFactors { drag, normal, whole }) = self.links.get(link) else {
+            return ForceDerivatives::zero();
+        };
         let speed = v_air_i.norm();
         let direction = v_air_i.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
         let along = direction * direction.transpose();
-        let weights = Matrix3::from_diagonal_element(self.normal) + along * (self.drag - self.normal);
+        let weights = Matrix3::from_diagonal_element(normal) + along * (drag - normal);
         let turn = if speed > 0.0 {
             // d(v̂ v̂ᵀ F) at constant F
             let across = (Matrix3::identity() - along) / speed;
@@ -130,8 +133,8 @@ impl ForceFactors {
             Matrix3::zeros()
         };
         ForceDerivatives {
-            by_velocity: (weights * of_model.by_velocity + turn * (self.drag - self.normal)) * *factor,
-            by_axis: weights * of_model.by_axis * *factor,
+            by_velocity: (weights * of_model.by_velocity + turn * (drag - normal)) * whole,
+            by_axis: weights * of_model.by_axis * whole,
         }
     }
 }

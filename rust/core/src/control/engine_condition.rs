@@ -58,7 +58,7 @@ pub enum EngineFinding {
         /// What the sensor says.
         thrust: f64,
     },
-    /// The momentum lacks its thrust, of which no sensor tells.
+    /// The momentum lacks its thrust, which no sensor measures.
     Missing,
 }
 

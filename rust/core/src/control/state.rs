@@ -46,7 +46,7 @@ pub(super) struct Sizes {
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
     pub(super) sizes: Sizes,
-    /// The robot as the last tick knew it.
+    /// Estimate of the robot in the last tick.
     pub(super) estimate: Estimate,
     /// Predictions and acceptance of the measurement's channels.
     pub(super) channels: ChannelsState,
@@ -84,7 +84,7 @@ pub struct ControllerState {
     pub(super) inner_loop: InnerLoop,
     /// Whether the feet carry load, and their desired wrenches.
     pub(super) contact: ContactState,
-    /// Observer of the wrench that a residual sees, without that of the disturbance observer; from the first residual on.
+    /// Observer of the wrench that a residual is given, without that of the disturbance observer; from the first residual on.
     pub(super) residual_observer: Option<ObserverState>,
     /// Plan of the predictive law; empty without one.
     pub(super) plan: Plan,
@@ -101,7 +101,7 @@ impl ControllerState {
         self.estimate.robot.time
     }
 
-    /// The robot as the last tick knew it: what the law read.
+    /// Estimate of the robot in the last tick, which the law used.
     #[must_use]
     pub fn estimate(&self) -> &Estimate {
         &self.estimate
@@ -191,7 +191,7 @@ impl ControllerState {
         self.plan.nonlinear.as_ref()
     }
 
-    /// Wrench that a residual sees \[N, N m\]; zero without a residual.
+    /// Wrench that a residual is given \[N, N m\]; zero without a residual.
     #[must_use]
     pub fn residual_wrench(&self) -> Vector6<f64> {
         self.residual_observer.map_or_else(Vector6::zeros, |observer| observer.wrench)

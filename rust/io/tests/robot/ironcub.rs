@@ -155,7 +155,7 @@ fn tag<'a, 'i>(node: roxmltree::Node<'a, 'i>, name: &str) -> roxmltree::Node<'a,
     node.children().find(|child| child.has_tag_name(name)).unwrap()
 }
 
-/// What one sees is what the sphere/cylinder model computes with.
+/// The drawn shapes are those that the sphere/cylinder model computes with.
 #[test]
 fn visuals_show_the_published_link_sizes() {
     let robot = ironcub();

@@ -190,7 +190,7 @@ fn a_urdf_may_be_of_several_encodings() {
     assert!(load("plain", plain).is_ok());
 }
 
-/// What one reader of URDFs knows and this one does not is refused where it moves a part, and named.
+/// What another reader of URDFs reads and this one does not is refused where it moves a part, and named.
 #[test]
 fn what_would_make_another_robot_is_read_or_refused_by_name() {
     for (from, to, words) in [

@@ -109,7 +109,7 @@ impl JetFaultsConfig {
         self.force_scale.keys().try_for_each(|jet| index_of("force_scale", jet, jets).map(|_| ()))
     }
 
-    /// Scales the limits of the controller's model, if it knows them.
+    /// Scales the limits in the controller's model, if `limit_is_known`.
     pub fn apply_known_limits(&self, jets: &mut [Jet]) {
         if let (true, Some(scale)) = (self.limit_is_known, self.thrust_limit_scale) {
             for jet in jets {

@@ -124,7 +124,7 @@ fn set(log: &mut FlightLog, name: &str, entry: usize, value: f64) {
     series.data[entry] = value;
 }
 
-/// Each figure sees what it is made of, from 3 s on where start-up is left out; ticks are those of the log.
+/// Each figure is computed from its own signals, from 3 s on where start-up is left out; ticks are those of the log.
 #[test]
 fn figures_of_a_made_up_log() {
     let times: Vec<f64> = (0..20).map(|tick| 0.25 * f64::from(tick)).collect();

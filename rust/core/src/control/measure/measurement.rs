@@ -145,7 +145,7 @@ impl Measurement {
     }
 }
 
-/// The robot as a tick knows it: measured, predicted where it is not measured, or estimated; the controller's state has that
+/// Estimate of the robot in a tick: measured, predicted where it is not measured, or estimated; the controller's state has that
 /// of the last tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {

@@ -1,4 +1,4 @@
-//! From a measurement to the robot as the tick knows it: channels, then the estimator.
+//! From a measurement to the estimate of the robot: channels, then the estimator.
 
 use super::Controller;
 use crate::control::estimate::wind_observer::WindState;

@@ -1,5 +1,5 @@
 //! A residual in a tick: it is added to the answer of the law, or replaces it, and the wrench is observed that the next
-//! one sees.
+//! one is given.
 
 use crate::control::command::Command;
 use crate::control::estimate::disturbance_observer::{DisturbanceObserverConfig, MomentumSample};
@@ -8,7 +8,7 @@ use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 
-/// Observer of the wrench that a policy sees.
+/// Observer of the wrench that a policy is given.
 const OBSERVER: DisturbanceObserverConfig = DisturbanceObserverConfig {
     gain_force: 3.0,
     gain_moment: 3.0,
