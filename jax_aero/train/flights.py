@@ -1,4 +1,4 @@
-"""What flights record of the air: wrenches that a disturbance observer estimates from logs, and what windows a network is trained on.
+"""What flights record of the air: wrenches that an observer estimates from logs, and windows that train a network.
 
     LOG ──read──► Flight: attitude, air, joints, observed wrench ──windows──► Windows of jax_aero.train.wrench
 

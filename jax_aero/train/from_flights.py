@@ -1,8 +1,8 @@
 """Learn the air from logs of flights: `jax-aero train flights LOG ...`.
 
 LOG is what `jax-aero replay` reads: a result of `jax-aero fly`, an MCAP, MATLAB or CSV file, with a measured wind. The
-network's total force and moment are fitted to the wrench that a disturbance observer estimates without an aerodynamic model;
-logs of other controllers are replayed through one. Whole flights are held out and judge: nothing, the robot's
+network's total force and moment are fitted to the wrench that a disturbance observer estimates without an aerodynamic
+model; logs of other controllers are replayed through one. Whole flights are held out and judge: nothing, the robot's
 coefficients, coefficients fitted to the same flights, and the network.
 
 `results/training_flights/NAME/` holds the card of the network, NAME.json, and that of the coefficients, refit.json;

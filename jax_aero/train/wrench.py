@@ -243,8 +243,8 @@ def windows_of(
 ) -> list[tuple[slice, Float[np.ndarray, " T"]]]:
     """Return windows of `length` rows that cover `count` rows, but for a tenth of one, and which of their rows count.
 
-    A row counts if it, and all rows of the `settling` before it in its window, are valid: the observer no longer depends on
-    what it held before.
+    A row counts if it, and all rows of the `settling` before it in its window, are valid: the observer no longer
+    depends on what it held before.
     """
     length = min(length, count)
     number = max(1, int(np.ceil(count / length - 0.1)))

@@ -113,7 +113,7 @@ def count_sides(function: Callable[..., Any]) -> Callable[..., tuple[Any, Sides]
     """Return a function that also returns which sides the choices of its program have taken; not for derivatives."""
 
     def counting(*args: Any) -> tuple[Any, Sides]:
-        # Of a function of its own: of one that was compiled before, JAX has the old program, of lines that do not run again.
+        # Of a function of its own: of one compiled before, JAX has the old program, of lines that do not run again.
         program, shape = jax.make_jaxpr(lambda *given: function(*given), return_shape=True)(*args)
         names = sorted(set(_choices(program.jaxpr)))
         count = _Count({name: 2 * place for place, name in enumerate(names)})

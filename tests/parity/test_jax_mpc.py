@@ -49,7 +49,9 @@ def random_ticks(robot, knots):
 
 def test_linearised_dynamics_and_qp(agree):
     """Derivatives by automatic differentiation against the crate's own, with weighted forces; then H and g."""
-    table, robot, params = flight({"disturbances.aero_estimate": {"drag": 0.8, "normal": 1.3, "links": {"head": 2.0}, "drag_of": {"chest": 0.6}}})
+    table, robot, params = flight(
+        {"disturbances.aero_estimate": {"drag": 0.8, "normal": 1.3, "links": {"head": 2.0}, "drag_of": {"chest": 0.6}}}
+    )
     mpc, gains = params.mpc, (params.torque.kd, params.torque.kp)
 
     @jax.jit

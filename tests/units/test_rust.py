@@ -531,7 +531,8 @@ def test_a_height_that_cannot_be_is_refused(name, changes, message):
 def test_a_descent_is_planned_to_the_measured_ground():
     """As high as the start it changes millimetres; to a lower one the robot sinks faster, to a higher one slower.
 
-    Nothing is measured late, and the estimator is configured so: the ground is where a late position is above the height.
+    Nothing is measured late, and the estimator is configured so: the ground is where a late position is above
+    the height.
     """
     estimator = rust.load_config("robot")["controller"]["estimator"]
     late = [name for name, table in estimator.items() if isinstance(table, dict) and "delay" in table]
