@@ -242,7 +242,7 @@ def _add_ground(spec: Any, ground: Mapping[str, Any], contact: Mapping[str, Any]
     sides = [("ground", mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 1.0], [0.0, 0.0, min(0.0, height)])]
     if height != 0.0:
         centre = [start + np.sign(height) * SIDE[0], 0.0, max(0.0, height) - SIDE[2]]
-        sides.append(("step", mujoco.mjtGeom.mjGEOM_BOX, SIDE, centre))
+        sides.append(("step", mujoco.mjtGeom.mjGEOM_BOX, list(SIDE), centre))
     for name, shape, size, centre in sides:
         spec.worldbody.add_geom(
             name=name,
