@@ -9,11 +9,11 @@ from jax_aero import backends, memory, rust
 from jax_aero.base import places
 from jax_aero.verify import flight as verified
 
-STANDING = {"robot_take_off", "mk3_robot_take_off"}
-"""Controllers whose copy parts from them while their feet carry: a list that only shrinks. None does so in the air."""
+STANDING = {"mk3_robot_take_off"}
+"""Controllers whose copy parts from them while they stand: a list that only shrinks. None does so in the air."""
 
-APART = {"robot_take_off"}
-"""Those of `STANDING` whose torques differ by more than `TORQUE` before the end of their mission."""
+APART = {"robot_take_off", "mk3_robot_take_off"}
+"""Those whose torques differ by more than `TORQUE` before the end of a mission that begins and ends on their feet."""
 
 ELSEWHERE = {
     "robot_take_off": "robot",

@@ -318,13 +318,13 @@ def test_one_command_flies_a_controller_of_ones_own_beside_a_shipped_one(own, tm
 def test_a_controller_of_ones_own_is_refused_by_name_and_line(own):
     with pytest.raises(ValueError, match=r"own controller at 0.04 s: .*NoneType"):
         rust.fly(own("late"))
-    with pytest.raises(rust.ConfigError, match=r"`own_controller.name` is \"Other\"; expected the name of a function"):
+    with pytest.raises(ConfigError, match=r"`own_controller.name` is \"Other\"; expected the name of a function"):
         rust.fly(own("Other"))
-    with pytest.raises(rust.ConfigError, match="own_controller"):
+    with pytest.raises(ConfigError, match="own_controller"):
         rust.Controller(own("Same"))
     broken = own("Same")
     broken["own_controller"]["file"] = str(rust.__file__)[:-3] + "_absent.py"
-    with pytest.raises(rust.ConfigError, match=r"own_controller.file"):
+    with pytest.raises(ConfigError, match=r"own_controller.file"):
         rust.fly(broken)
 
 

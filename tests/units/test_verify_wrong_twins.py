@@ -76,7 +76,7 @@ def wrong_twins(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
         return replace(scenario, controller=replace(controller, **parts))
 
     yield "1 % of thrust", of_robot(jets=replace(robot.jets, axes=1.01 * robot.jets.axes))
-    yield "1 % of drag", of_plant(aero=replace(world.aero, drag=jnp.array(1.01)))
+    yield "1 % of drag", of_plant(aero=replace(world.aero, drag=1.01 * world.aero.drag))
     yield "1 % of mass", of_robot(masses=1.01 * robot.masses)
     yield "1 % of inertia", of_robot(inertias=1.01 * robot.inertias)
     yield ("a dead time of one tick", replace(scenario, actuation=replace(way, lag=way.lag + world.substeps)))
