@@ -60,7 +60,7 @@ def test_gradient_of_a_second_of_a_robot():
         masses, inertias = at["mass"] * plant.robot.masses, at["mass"] * plant.robot.inertias
         changed = replace(
             scenario,
-            plant=replace(plant, aero=replace(plant.aero, drag=at["drag"])),
+            plant=replace(plant, aero=replace(plant.aero, drag=at["drag"] * jnp.ones_like(plant.aero.drag))),
             controller=replace(controller, torque=replace(controller.torque, kp=at["gain"])),
             controller_model=replace(model, masses=masses, inertias=inertias),
         )
