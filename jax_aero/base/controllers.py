@@ -1,4 +1,4 @@
-"""Names of the controllers of `configs/control`, which tables, figures, the film and pages show."""
+"""Names of the controllers of `configs/control`, which tables, figures, the film, the flight lab and pages show."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CONTROLLERS: Mapping[str, Controller] = {
     ),
     "aero_aware": Controller(
         "aware",
-        "the published controller: an aerodynamic model in momentum and torques",
+        "the published aerodynamic-aware controller: an aerodynamic model in momentum and torques",
         "measured wind, exact measurements",
         "the paper's flights",
     ),

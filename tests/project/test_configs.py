@@ -8,6 +8,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.base import places
+from jax_aero.base.controllers import CONTROLLERS
 from jax_aero.sweep import spec
 from jax_aero.sweep.design import Design
 
@@ -38,6 +39,21 @@ def test_no_two_experiments_are_the_same():
         described[text] = path.stem
 
 
+@pytest.mark.parametrize(
+    ("key", "file"),
+    {
+        "baseline": "baseline",
+        "aware": "aero_aware",
+        "observer": "observer_without_model",
+        "both": "observer",
+        "mpc": "mpc",
+    }.items(),
+)
+def test_the_flight_lab_calls_a_controller_by_its_name_in_the_list(key, file):
+    page = (ROOT / "rust/lab/page/scenario.js").read_text(encoding="utf-8")
+    assert f'{key}: ["{CONTROLLERS[file].label}", ' in page
+
+
 def test_test1_and_test2_differ_in_the_controller_alone():
     first, second = (rust.load_config(f"test{n}") for n in (1, 2))
     different = {key for key in first if first[key] != second[key]}
@@ -49,27 +65,27 @@ def table(path):
 
 
 @pytest.mark.parametrize("name", ["observer_tests", "observer_missions"])
-def test_a_sweep_that_adds_the_recommended_controller_adds_all_of_it(name):
-    recommended = table("control/observer.toml")
+def test_a_sweep_that_adds_the_observer_adds_all_of_it(name):
+    observer = table("control/observer.toml")
     parts = {"disturbance_observer", "weights", "channels", "fault_detection"}
-    detectors = recommended["fault_detection"]
-    assert recommended.keys() == {"base"} | parts
+    detectors = observer["fault_detection"]
+    assert observer.keys() == {"base"} | parts
     added = {key: value for key, value in table(f"sweeps/{name}.toml")["set"].items() if key.startswith("controller.")}
     assert added == {
-        "controller.disturbance_observer": recommended["disturbance_observer"],
-        "controller.weights.joint_velocity": recommended["weights"]["joint_velocity"],
-        "controller.channels.jump": recommended["channels"]["jump"],
+        "controller.disturbance_observer": observer["disturbance_observer"],
+        "controller.weights.joint_velocity": observer["weights"]["joint_velocity"],
+        "controller.channels.jump": observer["channels"]["jump"],
         **{f"controller.fault_detection.{name}": detector for name, detector in detectors.items()},
     }
-    assert recommended["weights"].keys() == {"joint_velocity"}
-    assert recommended["channels"].keys() == {"jump"}
+    assert observer["weights"].keys() == {"joint_velocity"}
+    assert observer["channels"].keys() == {"jump"}
 
 
-def test_a_loss_that_is_found_without_a_descent_is_found_as_the_recommended_controller_finds_it():
-    recommended = table("control/observer.toml")["fault_detection"]["engines"]
+def test_a_loss_that_is_found_without_a_descent_is_found_as_the_observer_finds_it():
+    observer = table("control/observer.toml")["fault_detection"]["engines"]
     (axis,) = (axis for axis in table("sweeps/engine_loss.toml")["axis"] if axis["name"] == "engines")
     (level,) = (level for level in axis["level"] if level["label"] == "found, flies on")
-    assert {"descent": recommended["descent"], **level["set"]["controller.fault_detection.engines"]} == recommended
+    assert {"descent": observer["descent"], **level["set"]["controller.fault_detection.engines"]} == observer
     assert "descent" not in level["set"]["controller.fault_detection.engines"]
 
 

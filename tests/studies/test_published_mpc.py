@@ -392,7 +392,7 @@ def test_flights_differ_in_direction_and_perturbation():
     assert first["controller"]["time_step"] == plan.PERIOD
     [push] = study.configure("published", study.CASES["push of 50 N m"], 2, 1.0)["disturbances"]["pushes"]
     assert push["moment"] == [0.0, -50.0, 0.0]
-    ours = study.configure("predictive", study.CASES["10 m/s"], 0, 1.0)
+    ours = study.configure("predictive law", study.CASES["10 m/s"], 0, 1.0)
     assert ours["simulator"]["jets"]["dynamics"] == "throttled"
 
 

@@ -57,7 +57,7 @@ WITHOUT = {
     "controller.disturbance_observer": False,
     "controller.fault_detection.engines": False,
 }
-OURS = {"recommended": "mk3_min_jerk", "predictive": "mk3_min_jerk_mpc"}
+OURS = {"observer": "mk3_min_jerk", "predictive law": "mk3_min_jerk_mpc"}
 """Experiments of our controllers."""
 
 
@@ -67,7 +67,7 @@ class Compared(tables.Table, frozen=True):
     controllers: tuple[str, ...] = (PUBLISHED, *OURS)
     cases: tuple[str, ...] = tuple(CASES)
     flights: tables.Count = 40
-    """Flights a case of the recommended and the predictive controller."""
+    """Flights a case of the observer and the predictive law."""
     published_flights: tables.Count = 8
     """Flights a case of the published controller."""
     duration: tables.Positive = 26.0

@@ -17,7 +17,7 @@ const GHOSTS = {
   none: ["none", "One robot flies."],
   baseline: ["baseline", "The same flight under the baseline, in the same wind."],
   aware: ["aware", "The same flight under the aware controller, in the same wind."],
-  observer: ["observer", "The same flight under the observer, in the same wind."],
+  observer: ["observer, no model", "The same flight under the observer without a model, in the same wind."],
   previous: ["the flight before", "What was flown before the last change."],
   kept: "A result, or a flight that was kept.",
 };

@@ -15,9 +15,9 @@ export const LISTS = {
     values: {
       baseline: ["baseline", "The published controller without an aerodynamic model."],
       aware: ["aware", "The published controller with a model of the force on every link, and the measured wind."],
-      observer: ["observer", "Estimates the wrench of the air from the robot's momentum; no aerodynamic model, no wind sensor."],
-      both: ["aware + observer", "The model, and an observer of what the model gets wrong: the controller that we recommend."],
-      mpc: ["model predictive control", "A plan over the next 0.8 s with model and observer: it survives an arm engine that stops in hover."],
+      observer: ["observer, no model", "Estimates the wrench of the air from the robot's momentum; no aerodynamic model, no wind sensor."],
+      both: ["observer", "An aerodynamic model, and an observer of what the model gets wrong."],
+      mpc: ["predictive law", "Model predictive control: a plan over the next 0.8 s, with model and observer. It survives an arm engine that stops in hover."],
     },
   },
   air: {
