@@ -50,13 +50,23 @@ def csv_table(rows: Rows) -> str:
 
 
 def latex_table(rows: Rows) -> str:
-    """Return rows as a `tabular` with the rules of booktabs, at most 16 cm wide; `$...$` is mathematics."""
-    aligned, sides = _align(rows, "\u2007")
-    styled = _frame(aligned).style.hide(axis="index").format(escape="latex-math")
+    """Return rows as a `tabular` with the rules of booktabs, at most 16 cm wide; `$...$` is mathematics.
+
+    A heading has a line for each of its parts between commas, so that it is not wider than its numbers need.
+    """
+    (head, *body), sides = _align(rows, "\u2007")
+    stacked = [_stack(heading, side) for heading, side in zip(head, sides, strict=True)]
+    styled = _frame([stacked, *body]).style.hide(axis="index").format(escape="latex-math")
     styled = styled.format_index(escape="latex-math", axis="columns")
     text: str = styled.to_latex(hrules=True, column_format="".join(side[0] for side in sides))
     box = "\\begin{adjustbox}{max width=16cm}", "\\end{adjustbox}"
     return f"{box[0]}\n{text.rstrip().translate(SIGNS)}\n{box[1]}"
+
+
+def _stack(heading: str, side: str) -> str:
+    """Return a heading with its parts between commas one below the other, by characters of `STACKS`."""
+    parts = COMMA.split(heading)
+    return heading if len(parts) == 1 else STACKS[side] + f",{STACKS['line']}".join(parts) + STACKS["end"]
 
 
 def _frame(rows: Rows) -> pd.DataFrame:
@@ -95,12 +105,24 @@ def _tabulate(rows: Rows, form: str) -> str:
     return "\n".join(line.rstrip() for line in text.splitlines())
 
 
+COMMA = re.compile(r", (?=(?:[^$]*\$[^$]*\$)*[^$]*$)")
+"""A comma outside of `$...$`."""
+
+STACKS = {"left": "\ue000", "right": "\ue001", "line": "\ue002", "end": "\ue003"}
+"""Characters of no text, which stand for parts of a `\\shortstack` until a table is escaped."""
+
 SIGNS = str.maketrans(
     {sign: rf"\ensuremath{{{sign}}}" for sign in "<>|"}
     | {"±": r"\ensuremath{\pm}", "≤": r"\ensuremath{\leq}", "≥": r"\ensuremath{\geq}"}
     | {"−": r"\ensuremath{-}", "°": r"\ensuremath{^\circ}", "\u2007": r"\phantom{0}"}
+    | {
+        STACKS["left"]: r"\shortstack[l]{",
+        STACKS["right"]: r"\shortstack[r]{",
+        STACKS["line"]: r"\\",
+        STACKS["end"]: "}",
+    }
 )
-"""Signs that fonts of LaTeX lack, in text or in mathematics."""
+"""Signs that fonts of LaTeX lack, in text or in mathematics, and the characters of `STACKS`."""
 
 FORMATS: Mapping[str, Callable[[Rows], str]] = {"text": text_table, "csv": csv_table, "latex": latex_table}
 """Formats of a printed table, as `--format` names them."""

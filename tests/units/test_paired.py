@@ -96,6 +96,12 @@ def test_a_table_is_csv_and_latex():
     assert body == r'50\_a, "b" & \ensuremath{-}1\ensuremath{^\circ} \\'
 
 
+def test_parts_of_a_heading_stand_one_below_the_other_in_latex():
+    rows = [["law, $k(a, b)$", "error [cm], median, 10 to 90 %"], ["a", "5 (1 to 12)"]]
+    _, _, _, top, *_ = latex_table(rows).splitlines()
+    assert top == r"\shortstack[l]{law,\\$k(a, b)$} & \shortstack[r]{error [cm],\\median,\\10 to 90 \%} \\"
+
+
 def test_numbers_of_a_column_stand_below_each_other():
     rows = [["a", "share", "n"], ["x", "5 (1 to 12)", "5"], ["y", "", "−50"], ["3 of 4", "100 (-44 to 100)", ""]]
     _, head, _, _, _, first, second, third, *_ = latex_table(rows).replace(r"\phantom{0}", "_").splitlines()
