@@ -13,24 +13,10 @@ import msgspec
 
 from jax_aero import rust
 from jax_aero.view.recording import Recording, entries_of
-from jax_aero.view.topics import WORLD, Content, Topic, contents, force_and_torque, named, xyzw
+from jax_aero.view.topics import WORLD, Content, Form, Forms, Topic, force_and_torque, named, signal_of, topics_of, xyzw
 
 encode = msgspec.json.Encoder().encode
 """Function from a document to its JSON: every bit of a number, and null for NaN."""
-
-
-def topics(recording: Recording) -> Iterator[Topic]:
-    """Yield the topics that viewers draw, and one for every signal."""
-    log = recording.signals
-    base = Content("/base", "pose", lambda tick: (log["base_position"][tick], log["base_quaternion"][tick]))
-    for content in (*contents(recording), base):
-        schema, properties, message = _form(content, recording)
-
-        def encoded(tick: int, stamp: int, content: Content = content, message: Message = message) -> bytes | None:
-            values = content.at(tick)
-            return None if values is None else encode(message(values, {"sec": stamp // 10**9, "nsec": stamp % 10**9}))
-
-        yield Topic(content.topic, schema, encode(_object(properties, title=schema)), encoded)
 
 
 Message = Callable[[Any, dict[str, int]], Any]
@@ -66,31 +52,34 @@ WRENCH = {
 }
 
 
-def _form(content: Content, recording: Recording) -> tuple[str, dict[str, Any], Message]:
-    """Return schema, properties and messages of a topic."""
-    match content.kind:
-        case "text":
-            return "std_msgs/String", {"data": TEXT}, lambda text, _: {"data": text}
-        case "poses":
-            return "foxglove.FrameTransforms", {"transforms": _list(TRANSFORM)}, _transforms
-        case "pose":
-            return "foxglove.PoseInFrame", POSE, _pose
-        case "joints":
-            names = recording.robot.joint_names
-            properties = {"timestamp": STAMP, "joints": _list(JOINT)}
+def topics(recording: Recording) -> Iterator[Topic]:
+    """Yield the topics that viewers draw, and one for every signal."""
+    log = recording.signals
+    base = Content("/base", "pose", lambda tick: (log["base_position"][tick], log["base_quaternion"][tick]))
+    return topics_of(recording, FORMS, [base])
 
-            def joints(parts: Any, stamp: dict[str, int]) -> Any:
-                rows = zip(names, *(part.tolist() for part in parts), strict=True)
-                return {"timestamp": stamp, "joints": [dict(zip(JOINT, row, strict=True)) for row in rows]}
 
-            return "foxglove.JointStates", properties, joints
-        case "wrench":
-            return "geometry_msgs/WrenchStamped", WRENCH, _wrench
-    name = content.topic.rpartition("/")[2]
+def _form(schema: str, properties: Mapping[str, Any], message: Message) -> Form:
+    def encoded(values: Any, stamp: int) -> bytes:
+        return encode(message(values, {"sec": stamp // 10**9, "nsec": stamp % 10**9}))
+
+    return Form(schema, encode(_object(properties, title=schema)), encoded)
+
+
+def _joints(_: Content, recording: Recording) -> Form:
+    def joints(parts: Any, stamp: dict[str, int]) -> Any:
+        rows = zip(recording.robot.joint_names, *(part.tolist() for part in parts), strict=True)
+        return {"timestamp": stamp, "joints": [dict(zip(JOINT, row, strict=True)) for row in rows]}
+
+    return _form("foxglove.JointStates", {"timestamp": STAMP, "joints": _list(JOINT)}, joints)
+
+
+def _signal(content: Content, recording: Recording) -> Form:
+    name = signal_of(content)
     signal, entries = rust.signals()[name], [entry or ("value",) for entry in entries_of(name, recording.robot)]
     number = NUMBER | {"description": f"{signal.meaning} [{signal.unit}]"}
     properties = _nested(entries, [number] * len(entries), _object)
-    return f"jax_aero.{name}", properties, lambda row, _: _nested(entries, row.tolist())
+    return _form(f"jax_aero.{name}", properties, lambda row, _: _nested(entries, row.tolist()))
 
 
 def _transforms(frames: Any, stamp: dict[str, int]) -> Any:
@@ -126,3 +115,13 @@ def _nested(entries: Sequence[tuple[str, ...]], values: Sequence[Any], wrap: Cal
         groups = itertools.groupby(zip(entries, values, strict=True), lambda pair: pair[0][0])
         return {name: wrap({entry[1]: value for entry, value in group}) for name, group in groups}
     return {entry[0]: value for entry, value in zip(entries, values, strict=True)}
+
+
+FORMS: Forms = {
+    "text": lambda *_: _form("std_msgs/String", {"data": TEXT}, lambda text, _: {"data": text}),
+    "poses": lambda *_: _form("foxglove.FrameTransforms", {"transforms": _list(TRANSFORM)}, _transforms),
+    "pose": lambda *_: _form("foxglove.PoseInFrame", POSE, _pose),
+    "joints": _joints,
+    "wrench": lambda *_: _form("geometry_msgs/WrenchStamped", WRENCH, _wrench),
+    "signal": _signal,
+}

@@ -15,7 +15,7 @@ import numpy as np
 
 from jax_aero import rust
 from jax_aero.view.recording import Recording, axes_of, entries_of
-from jax_aero.view.topics import WORLD, Content, Topic, contents, force_and_torque, named, xyzw
+from jax_aero.view.topics import WORLD, Content, Form, Forms, Topic, force_and_torque, named, signal_of, topics_of, xyzw
 
 BAG = "metadata.yaml"
 """Name of the file that makes a bag of a folder with an MCAP file."""
@@ -89,24 +89,21 @@ def _part(form: Any, value: Any) -> Any:
 
 def topics(recording: Recording) -> Iterator[Topic]:
     """Yield the topics that viewers draw, as far as the signals are there, and one for every signal."""
-    odometry = [_odometry(recording)] if "base_velocity" in recording.signals else []
-    for content in (*contents(recording), *odometry):
-        kind, message, metadata = _form(content, recording)
-
-        def encoded(
-            tick: int, stamp: int, content: Content = content, message: Message = message, kind: str = kind
-        ) -> bytes | None:
-            header = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": WORLD}
-            values = content.at(tick)
-            return None if values is None else encode(kind, message(values, header))
-
-        if content.is_latched:
-            metadata = {**metadata, QOS: json.dumps([LATCHED])}  # JSON is YAML too
-        definition, _ = _store().generate_msgdef(kind, ros_version=2)
-        yield Topic(content.topic, kind, definition.encode(), encoded, metadata)
+    return topics_of(recording, FORMS, [_base(recording)] if "base_velocity" in recording.signals else [])
 
 
-def _odometry(recording: Recording) -> Content:
+def _form(content: Content, kind: str, message: Message, metadata: Mapping[str, str] = {}) -> Form:
+    def encoded(values: Any, stamp: int) -> bytes:
+        header = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": WORLD}
+        return encode(kind, message(values, header))
+
+    if content.is_latched:
+        metadata = {**metadata, QOS: json.dumps([LATCHED])}  # JSON is YAML too
+    definition, _ = _store().generate_msgdef(kind, ros_version=2)
+    return Form(kind, definition.encode(), encoded, metadata)
+
+
+def _base(recording: Recording) -> Content:
     """Return pose and velocity of the base, the latter in its own axes."""
     log = recording.signals
     i_from_b = rust.rotation_from_wxyz(log["base_quaternion"])
@@ -115,43 +112,33 @@ def _odometry(recording: Recording) -> Content:
     return Content("/odom", "odometry", lambda tick: [signal[tick] for signal in signals])
 
 
-def _form(content: Content, recording: Recording) -> tuple[str, Message, dict[str, str]]:
-    """Return type, messages and metadata of a topic."""
-    robot = recording.robot
-    match content.kind:
-        case "text":
-            return "std_msgs/msg/String", lambda text, _: {"data": text}, {}
-        case "poses":
-            return "tf2_msgs/msg/TFMessage", _transforms, {}
-        case "pose":
-            return "geometry_msgs/msg/PoseStamped", lambda pose, header: {"header": header, "pose": _pose(*pose)}, {}
-        case "odometry":
+def _odometry(content: Content, recording: Recording) -> Form:
+    def odometry(values: Any, header: dict[str, Any]) -> Any:
+        position, wxyz, linear, angular = values
+        unknown, twist = [0.0] * 36, {"linear": named("xyz", linear), "angular": named("xyz", angular)}
+        return {
+            "header": header,
+            "child_frame_id": recording.robot.body_names[0],
+            "pose": {"pose": _pose(position, wxyz), "covariance": unknown},
+            "twist": {"twist": twist, "covariance": unknown},
+        }
 
-            def odometry(values: Any, header: dict[str, Any]) -> Any:
-                position, wxyz, linear, angular = values
-                unknown, twist = [0.0] * 36, {"linear": named("xyz", linear), "angular": named("xyz", angular)}
-                return {
-                    "header": header,
-                    "child_frame_id": robot.body_names[0],
-                    "pose": {"pose": _pose(position, wxyz), "covariance": unknown},
-                    "twist": {"twist": twist, "covariance": unknown},
-                }
+    return _form(content, "nav_msgs/msg/Odometry", odometry)
 
-            return "nav_msgs/msg/Odometry", odometry, {}
-        case "joints":
 
-            def joints(parts: Any, header: dict[str, Any]) -> Any:
-                numbers = dict(zip(("position", "velocity", "effort"), parts, strict=True))
-                return {"header": header, "name": robot.joint_names, **numbers}
+def _joints(content: Content, recording: Recording) -> Form:
+    def joints(parts: Any, header: dict[str, Any]) -> Any:
+        numbers = dict(zip(("position", "velocity", "effort"), parts, strict=True))
+        return {"header": header, "name": recording.robot.joint_names, **numbers}
 
-            return "sensor_msgs/msg/JointState", joints, {}
-        case "wrench":
-            wrench = "geometry_msgs/msg/WrenchStamped"
-            return wrench, lambda values, header: {"header": header, "wrench": force_and_torque(values)}, {}
-    name = content.topic.rpartition("/")[2]
-    entries = ",".join("/".join(entry) for entry in entries_of(name, robot))
+    return _form(content, "sensor_msgs/msg/JointState", joints)
+
+
+def _signal(content: Content, recording: Recording) -> Form:
+    name = signal_of(content)
+    entries = ",".join("/".join(entry) for entry in entries_of(name, recording.robot))
     facts = {"unit": rust.signals()[name].unit, "meaning": rust.signals()[name].meaning, "entries": entries}
-    return "std_msgs/msg/Float64MultiArray", _array(name, recording), facts
+    return _form(content, "std_msgs/msg/Float64MultiArray", _array(name, recording), facts)
 
 
 def _transforms(frames: Any, header: dict[str, Any]) -> Any:
@@ -181,3 +168,22 @@ def _array(name: str, recording: Recording) -> Message:
 
 def _pose(position: Any, wxyz: Any) -> dict[str, Any]:
     return {"position": named("xyz", position), "orientation": xyzw(wxyz)}
+
+
+def _stamped_pose(pose: Any, header: dict[str, Any]) -> Any:
+    return {"header": header, "pose": _pose(*pose)}
+
+
+def _wrench(wrench: Any, header: dict[str, Any]) -> Any:
+    return {"header": header, "wrench": force_and_torque(wrench)}
+
+
+FORMS: Forms = {
+    "text": lambda content, _: _form(content, "std_msgs/msg/String", lambda text, _: {"data": text}),
+    "poses": lambda content, _: _form(content, "tf2_msgs/msg/TFMessage", _transforms),
+    "pose": lambda content, _: _form(content, "geometry_msgs/msg/PoseStamped", _stamped_pose),
+    "odometry": _odometry,
+    "joints": _joints,
+    "wrench": lambda content, _: _form(content, "geometry_msgs/msg/WrenchStamped", _wrench),
+    "signal": _signal,
+}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from itertools import repeat
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain, repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,8 +22,8 @@ class Content(NamedTuple):
     Attributes
     ----------
     kind
-        `text`; `poses`, each with the frame that it is in and the name of its own; `pose`; `joints`; `wrench`; or
-        `signal`.
+        `text`; `poses`, each with the frame that it is in and the name of its own; `pose`; `odometry`; `joints`;
+        `wrench`; or `signal`.
     at
         Function from the number of a tick to the values of its message; `None` for no message.
     is_latched
@@ -54,6 +54,41 @@ class Topic(NamedTuple):
     definition: bytes
     message: Callable[[int, int], bytes | None]
     metadata: Mapping[str, str] = {}
+
+
+class Form(NamedTuple):
+    """How the messages of a topic are encoded.
+
+    Attributes
+    ----------
+    schema, definition
+        Name and text of their schema.
+    encode
+        Function from the values of a message and its time stamp [ns] to the encoded message.
+    metadata
+        Facts about the topic.
+    """
+
+    schema: str
+    definition: bytes
+    encode: Callable[[Any, int], bytes]
+    metadata: Mapping[str, str] = {}
+
+
+Forms = Mapping[str, Callable[[Content, Recording], Form]]
+"""Forms of topics, by the kind of their content."""
+
+
+def topics_of(recording: Recording, forms: Forms, more: Iterable[Content] = ()) -> Iterator[Topic]:
+    """Yield what viewers draw, every signal, and more, in these forms."""
+    for content in chain(contents(recording), more):
+        form = forms[content.kind](content, recording)
+
+        def message(tick: int, stamp: int, content: Content = content, form: Form = form) -> bytes | None:
+            values = content.at(tick)
+            return None if values is None else form.encode(values, stamp)
+
+        yield Topic(content.topic, form.schema, form.definition, message, form.metadata)
 
 
 def contents(recording: Recording) -> Iterator[Content]:
@@ -90,6 +125,11 @@ def contents(recording: Recording) -> Iterator[Content]:
 def force_and_torque(wrench: Any) -> dict[str, Any]:
     """Return a wrench (6,) by the names of its parts."""
     return {"force": named("xyz", wrench[:3]), "torque": named("xyz", wrench[3:])}
+
+
+def signal_of(content: Content) -> str:
+    """Return the name of the signal that a topic holds."""
+    return content.topic.rpartition("/")[2]
 
 
 def named(names: str, numbers: Any) -> dict[str, float]:
