@@ -105,7 +105,7 @@ def lock(target: Path) -> Iterator[None]:
     """Hold the lock of a file or folder for the duration of the block: `.NAME.lock` beside it, naming this process.
 
     The system releases a lock when its process ends for any reason, and the next process takes it over. A lock of
-    another machine, where that is unknown, counts as long as it is renewed.
+    another machine, where that is unknown, counts as long as it is renewed. On Windows none is held.
 
     Raises
     ------
@@ -114,6 +114,9 @@ def lock(target: Path) -> Iterator[None]:
     """
     target = resolve(target)  # one lock for all links to the target
     target.parent.mkdir(parents=True, exist_ok=True)
+    if not HAS_LOCKS:
+        yield
+        return
     path = target.with_name(f".{target.name}.lock")
     while True:
         try:
@@ -186,8 +189,6 @@ def _take(descriptor: int, path: Path, target: Path) -> None:
 
 def _is_taken(descriptor: int, path: Path) -> bool:
     """Lock an open file; return whether another process holds its lock. Where there are no locks, none is held."""
-    if not HAS_LOCKS:
-        return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -201,8 +202,8 @@ def _is_taken(descriptor: int, path: Path) -> bool:
 
 
 def _sync(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to the disk; Windows opens no folder."""
-    if os.name == "nt" and path.is_dir():
+    """Flush a file, or the entries of a folder, to the disk; Windows flushes nothing that is open for reading."""
+    if os.name == "nt":
         return
     descriptor = os.open(path, os.O_RDONLY)
     try:

@@ -288,7 +288,7 @@ def test_a_deep_configuration_is_named(depth, tmp_path):
 
 
 def test_a_result_is_written_where_there_are_no_locks(tmp_path, monkeypatch):
-    """On a file system without them, with a warning; on Windows, whose Python has no `fcntl`."""
+    """On a file system without them, with a warning; on Windows, whose Python has neither `fcntl` nor `os.pread`."""
 
     def refuse(*_):
         raise OSError(errno.ENOLCK, "No locks available")
@@ -298,6 +298,7 @@ def test_a_result_is_written_where_there_are_no_locks(tmp_path, monkeypatch):
     with pytest.warns(UserWarning, match=message), complete_folder(tmp_path / "mine") as draft:
         (draft / "a").touch()
     monkeypatch.setattr(files, "HAS_LOCKS", False)
+    monkeypatch.delattr(files.os, "pread")
     with complete_folder(tmp_path / "mine", replace=True) as draft:
         (draft / "b").touch()
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["b"]
