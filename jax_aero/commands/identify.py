@@ -31,9 +31,10 @@ from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.identify import excite, motion, result, samples, verdict
 from jax_aero.identify.identified import Identified, identify_robot, mistake, proposals
-from jax_aero.identify.motion import Found, Numbers, Samples
-from jax_aero.identify.numbers import FOUND, MANY, correlations, describe, labels, records
+from jax_aero.identify.motion import Numbers, Samples
+from jax_aero.identify.numbers import FOUND, MANY, Record, correlations, describe, labels, records
 from jax_aero.identify.prior import WIND, numbers_of, prior_of
+from jax_aero.identify.search import Found
 from jax_aero.identify.verdict import Verdict
 from jax_aero.results import study
 from jax_aero.results.table import text_table
@@ -104,66 +105,99 @@ def _identify(given: argparse.Namespace) -> int:
     with jax.enable_x64(True):
         prior = prior_of(load_robot(source), widths, 0.0 if has_wind or given.still_air else WIND)
         known = identify_robot(config, source, signals, prior, given.mass, is_predicted=given.predict is not None)
-        robot, found, judged = known.robot, known.found, known.verdict
-        shown = _places(robot, found, words)
-        rows = records(robot, found, shown)
+        shown = _places(known.robot, known.found, words)
+        rows = records(known.robot, known.found, shown)
         wind = "measured" if has_wind else "taken as none" if given.still_air else "found as constant"
-        digest = hashlib.sha256(
-            b"".join(np.ascontiguousarray(log[name]).tobytes() for log in signals for name in samples.MEASURED)
-        ).hexdigest()
-        facts = {
-            "sha256": digest,
-            "explained": judged.is_explained,
-            "wind": wind,
-            "samples": sum(int(np.sum(log.weight)) for log in known.logs),
-            "left_out": known.left_out,
-            "conflicts": judged.conflicts,
-            "held_out": [row._asdict() for row in judged.rows],
-            "numbers": rows,
-            "correlations": correlations(robot, found, shown),
-        }
-        text = json.dumps(facts, indent=1, ensure_ascii=False) + "\n"
-        numbers = numbers_of(robot, np.where(shown, found.value, 0.0))
-        is_found = numbers_of(robot, (shown & (found.share >= FOUND)).astype(float))
-        notes = [
-            f"Found by jax-aero identify in logs with sha256 {digest}.",
-            *([] if judged.is_explained else ["The model does not explain the log."]),
-            *(f"{row['name']}: {describe(row)}" for row in rows),
-        ]
         with complete_folder(folder, replace=given.overwrite) as draft:
-            (draft / "numbers.json").write_text(text, encoding="utf-8")
-            _draw(known, draft / "held_out.png")
-            if judged.is_explained or given.anyway:
-                result.write_perturbation(draft, numbers_of(robot, found.deviation))
-                result.write_experiment(draft, config, robot, numbers, is_found)
-                result.write_robot(draft, source, known.model, numbers, notes)
-        for reason, count in known.left_out.items():
-            print(f"{count} of {sum(len(log.weight) for log in known.logs)} samples left out: {reason}")
-        print(f"wind: {wind}")
-        print(text_table(tested(judged)))
-        print(f"numbers leave {judged.improvement:.2g} times less of the base's accelerations than the file")
-        if not judged.is_explained:
+            _write(draft, known, rows, shown, _digest(signals), wind)
+            if known.verdict.is_explained or given.anyway:
+                _write_robot(draft, known, rows, shown, _digest(signals), config, source)
+        _print_verdict(known, wind)
+        if not known.verdict.is_explained:
             _print_reasons(known, config, source, signals, prior, given.mass)
             if not given.anyway:
                 print(f"{folder / 'numbers.json'}: the log is not explained; no robot is written without --anyway")
                 return 1
-    few = [row for row in rows if row["found"] or row["name"].split(".")[0] not in MANY]
-    table = [(row["name"], describe(row), f"{row['share']:.2f}{'' if row['found'] else ', not found'}") for row in few]
-    print(text_table([("difference from the file", "value, 95 % interval", "share of the data"), *table]))
+    _print_numbers(known, rows)
     if config["controller"]["fault_detection"].get("latency"):
         computed = rust.replay({**config, "robot": str(folder / "robot.toml"), "disturbances": {}}, signals[0])
         for key, (median, deviation) in samples.latencies(computed).items():
             print(f"latency of the {key}s by the controller's monitor: {1e3 * median:.1f} ± {1e3 * deviation:.1f} ms")
-    names = [name for name, *_ in labels(robot)]
-    for share, direction in found.undetermined():
-        largest = np.argsort(-np.abs(direction))[:4]
-        mix = " ".join(f"{direction[place]:+.2f} {names[place]}" for place in largest if abs(direction[place]) > 0.1)
-        print(f"{100.0 * share:.0f} % of the prior's variance is left along {mix}")
     if given.propose:
         with jax.enable_x64(True):
             print(text_table(proposals({**config, "robot": str(source), "disturbances": {}}, known)))
     print(f"fly it: jax-aero fly {folder / 'experiment.toml'}")
-    return int(not judged.is_explained)
+    return int(not known.verdict.is_explained)
+
+
+def _digest(signals: Sequence[Signals]) -> str:
+    """Return the SHA-256 of what of the logs is used."""
+    return hashlib.sha256(
+        b"".join(np.ascontiguousarray(log[name]).tobytes() for log in signals for name in samples.MEASURED)
+    ).hexdigest()
+
+
+def _write(
+    draft: Path, known: Identified, rows: Sequence[Record], shown: NDArray[np.bool_], digest: str, wind: str
+) -> None:
+    """Write numbers, verdict and the figure of the held-out part."""
+    facts = {
+        "sha256": digest,
+        "explained": known.verdict.is_explained,
+        "wind": wind,
+        "samples": sum(int(np.sum(log.weight)) for log in known.logs),
+        "left_out": known.left_out,
+        "conflicts": known.verdict.conflicts,
+        "held_out": [row._asdict() for row in known.verdict.rows],
+        "numbers": rows,
+        "correlations": correlations(known.robot, known.found, shown),
+    }
+    (draft / "numbers.json").write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    _draw(known, draft / "held_out.png")
+
+
+def _write_robot(
+    draft: Path,
+    known: Identified,
+    rows: Sequence[Record],
+    shown: NDArray[np.bool_],
+    digest: str,
+    config: rust.Config,
+    source: Path,
+) -> None:
+    """Write the robot that the shown numbers make, an experiment with it, and what is left unknown."""
+    robot, found = known.robot, known.found
+    numbers = numbers_of(robot, np.where(shown, found.value, 0.0))
+    is_found = numbers_of(robot, (shown & (found.share >= FOUND)).astype(float))
+    notes = [
+        f"Found by jax-aero identify in logs with sha256 {digest}.",
+        *([] if known.verdict.is_explained else ["The model does not explain the log."]),
+        *(f"{row['name']}: {describe(row)}" for row in rows),
+    ]
+    result.write_perturbation(draft, numbers_of(robot, found.deviation))
+    result.write_experiment(draft, config, robot, numbers, is_found)
+    result.write_robot(draft, source, known.model, numbers, notes)
+
+
+def _print_verdict(known: Identified, wind: str) -> None:
+    """Print what of the logs is left out, and how well the numbers predict what was held out."""
+    for reason, count in known.left_out.items():
+        print(f"{count} of {sum(len(log.weight) for log in known.logs)} samples left out: {reason}")
+    print(f"wind: {wind}")
+    print(text_table(tested(known.verdict)))
+    print(f"numbers leave {known.verdict.improvement:.2g} times less of the base's accelerations than the file")
+
+
+def _print_numbers(known: Identified, rows: Sequence[Record]) -> None:
+    """Print the numbers, but for those of kinds with many of which nothing is found; and what is least known."""
+    few = [row for row in rows if row["found"] or row["name"].split(".")[0] not in MANY]
+    table = [(row["name"], describe(row), f"{row['share']:.2f}{'' if row['found'] else ', not found'}") for row in few]
+    print(text_table([("difference from the file", "value, 95 % interval", "share of the data"), *table]))
+    names = [name for name, *_ in labels(known.robot)]
+    for share, direction in known.found.undetermined():
+        largest = np.argsort(-np.abs(direction))[:4]
+        mix = " ".join(f"{direction[place]:+.2f} {names[place]}" for place in largest if abs(direction[place]) > 0.1)
+        print(f"{100.0 * share:.0f} % of the prior's variance is left along {mix}")
 
 
 def _check_mass(mass: float | None, robot: RobotModel, widths: Perturbation) -> None:

@@ -17,10 +17,11 @@ from jax_aero.aero import aero_model
 from jax_aero.base.terminal import Refused
 from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.identify import excite, motion, samples, verdict
-from jax_aero.identify.motion import Found, Model, Numbers, Samples
+from jax_aero.identify import excite, motion, samples, search, verdict
+from jax_aero.identify.motion import Model, Numbers, Samples
 from jax_aero.identify.numbers import FOUND, labels
 from jax_aero.identify.prior import numbers_of
+from jax_aero.identify.search import Found
 from jax_aero.identify.verdict import Verdict
 
 Array = NDArray[np.float64]
@@ -66,7 +67,7 @@ def proposals(config: rust.Config, known: Identified) -> list[tuple[str, str, st
         for axis in excite.AXES:
             log = rust.fly(excite.flight(config, [axis], Path(folder))).log
             more, _ = samples.sample(log, config, rust.Robot(config["robot"]))
-            left = motion.expected(known.model, numbers, found, more, samples.PERIOD)
+            left = search.expected(known.model, numbers, found, more, samples.PERIOD)
             asked = found.prior > 0.0
             remains = float(np.exp(np.mean(np.log(left[asked] / found.deviation[asked]))))
             newly = asked & (found.share < FOUND) & (left < np.sqrt(0.5) * found.prior)
@@ -122,7 +123,7 @@ def identify_robot(
     if is_predicted:
         known[-1] = 0
     weighed = None if mass is None else (mass, SCALE_ERROR * mass)
-    found = motion.estimate(model, every, samples.PERIOD, prior, weighed, known=known)
+    found = search.estimate(model, every, samples.PERIOD, prior, weighed, known=known)
     names = [name for name, *_ in labels(robot)]
     judged = verdict.judge(model, numbers_of(robot, found.value), found, every, again, known, names)
     return Identified(model, every, found, judged, left_out, known)

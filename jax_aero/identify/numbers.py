@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from jax_aero.body.robot import RobotModel
-from jax_aero.identify.motion import Found, Numbers
+from jax_aero.identify.motion import Numbers
+from jax_aero.identify.search import Found
 
 Array = NDArray[np.float64]
 Record = dict[str, Any]

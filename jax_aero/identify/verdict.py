@@ -24,8 +24,9 @@ from jax_aero import rust
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import wxyz_from_rotation
 from jax_aero.identify import motion
-from jax_aero.identify.motion import Found, Model, Numbers, Samples
+from jax_aero.identify.motion import Model, Numbers, Samples
 from jax_aero.identify.samples import PERIOD
+from jax_aero.identify.search import Found
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]

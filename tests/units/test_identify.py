@@ -21,7 +21,7 @@ from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import exp_so3
 from jax_aero.commands import fly
 from jax_aero.commands import identify as command
-from jax_aero.identify import excite, motion, result, samples, verdict
+from jax_aero.identify import excite, motion, result, samples, search, verdict
 from jax_aero.identify.numbers import MANY, Z, estimates, labels, records
 from jax_aero.identify.prior import BODIES, numbers_of, prior_of
 from jax_aero.sweep.perturbation import Perturbation
@@ -87,7 +87,7 @@ def errors_of(model, prior, truth, monkeypatch):
         monkeypatch.setattr(motion, name, 0.0)
     log = made_log(model, truth)
     mass = float(np.sum(model.robot.masses)) * float(1.0 + truth.mass)
-    found = motion.estimate(model, [log], PERIOD, prior, (mass, 1e-3), (1e-4, 1e-4, 1e-4))
+    found = search.estimate(model, [log], PERIOD, prior, (mass, 1e-3), (1e-4, 1e-4, 1e-4))
     wanted = np.concatenate([np.ravel(part) for part in truth])
     free = found.prior > 0.0  # the wind was measured
     error = np.abs(found.value - wanted)[free] / found.prior[free]
@@ -139,7 +139,7 @@ def test_noise_that_multiplies_numbers_does_not_make_them_small(kind, sparrow, m
         found = []
         for sign in (1.0, -1.0):
             one = log._replace(**{field: getattr(log, field) + sign * noise}, **more)
-            value = motion.estimate(sparrow, [one], PERIOD, prior, None, (1e-4, 1e-4, 1e-4)).value
+            value = search.estimate(sparrow, [one], PERIOD, prior, None, (1e-4, 1e-4, 1e-4)).value
             numbers = numbers_of(sparrow.robot, value)
             found.append(np.mean(numbers.thrust_gain) if kind == "thrust" else numbers.com[2])
         return float(np.mean(found))
@@ -156,10 +156,10 @@ def test_drives_that_are_wrong_alike_do_not_make_the_robot_light(sparrow, monkey
     truth = truth._replace(torque_gain=jnp.full_like(truth.torque_gain, 0.1))
     prior = prior._replace(**{name: np.zeros_like(part) for name, part in prior._asdict().items() if name not in asked})
     log = made_log(sparrow, truth)
-    found = motion.estimate(sparrow, [log], PERIOD, prior)
+    found = search.estimate(sparrow, [log], PERIOD, prior)
     assert abs(found.value[0]) < Z * found.deviation[0]
     monkeypatch.setattr(motion, "ALIKE", 0.0)
-    assert motion.estimate(sparrow, [log], PERIOD, prior).deviation[0] < 0.97 * found.deviation[0]
+    assert search.estimate(sparrow, [log], PERIOD, prior).deviation[0] < 0.97 * found.deviation[0]
 
 
 @pytest.mark.usefixtures("x64")
@@ -235,7 +235,7 @@ def test_a_robot_that_hovers_still_adds_nothing_to_its_prior(sparrow):
     log = made_log(sparrow, truth)
     still = motion.Samples(*(jnp.tile(rows[:1], (COUNT, *(1,) * (rows.ndim - 1))) for rows in log))
     prior = prior_of(robot, WIDTHS)
-    found = motion.estimate(sparrow, [still], PERIOD, prior)
+    found = search.estimate(sparrow, [still], PERIOD, prior)
     assert [share for share, _ in found.undetermined() if share < 0.99] == []
     assert found.deviation.max() <= max(np.max(part) for part in prior)
 
@@ -252,9 +252,9 @@ def test_what_a_log_is_expected_to_add_is_what_it_adds(sparrow):
         log = made_log(sparrow, truth)
         logs.append(log._replace(torque=log.torque + noise[6:] * rng.normal(size=log.torque.shape)))
     still = logs[1]._replace(joint_velocity=jnp.zeros_like(logs[1].joint_velocity))
-    first, both = (motion.estimate(sparrow, some, PERIOD, prior) for some in (logs[:1], logs))
+    first, both = (search.estimate(sparrow, some, PERIOD, prior) for some in (logs[:1], logs))
     numbers = numbers_of(robot, first.value)
-    left, nothing = (motion.expected(sparrow, numbers, first, log, PERIOD) for log in (logs[1], still))
+    left, nothing = (search.expected(sparrow, numbers, first, log, PERIOD) for log in (logs[1], still))
     free = first.prior > 0.0
     assert np.all(left[free] <= first.deviation[free] * (1.0 + 1e-9))  # of what no log shows as it was
     assert np.exp(np.mean(np.abs(np.log(left[free] / both.deviation[free])))) < 1.2
@@ -268,7 +268,7 @@ def test_numbers_that_are_not_asked_for_stay_uncertain(sparrow):
     """`--only` chooses what is shown: with the others fixed at the file's errors the intervals would be too narrow."""
     robot = sparrow.robot
     prior, truth = drawn(robot, "mass", "com")
-    found = motion.estimate(sparrow, [made_log(sparrow, truth)], PERIOD, prior)
+    found = search.estimate(sparrow, [made_log(sparrow, truth)], PERIOD, prior)
     shown = records(robot, found, command._places(robot, found, ["axes"]))
     assert {row["name"].split(".")[0] for row in shown} == {"thrust_axes"}
     assert len(shown) == 2 * robot.jets.count
@@ -284,7 +284,7 @@ def test_an_interval_of_what_is_not_known_is_that_of_the_prior(sparrow):
         place = names.index(name)
         values, deviations = np.zeros(prior.size), prior.copy()
         values[place], deviations[place] = value, deviation
-        found = motion.Found(values, deviations, prior, np.diag(deviations**2), [], [])
+        found = search.Found(values, deviations, prior, np.diag(deviations**2), [], [])
         return [ends[place] for ends in estimates(robot, found)[::2]]
 
     half = np.sqrt(3.0) * prior[names.index("com.x")]
