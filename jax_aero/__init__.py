@@ -58,8 +58,8 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module `jax_aero` has no attribute `{name}`")
     module, _, attribute = _PLACES[name].partition(":")
-    found: Any = importlib.import_module(module)
-    return getattr(found, attribute) if attribute else found
+    imported: Any = importlib.import_module(module)
+    return getattr(imported, attribute) if attribute else imported
 
 
 def __dir__() -> list[str]:

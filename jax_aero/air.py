@@ -140,8 +140,8 @@ class Air:
             linear_velocities=linear,
             joint_position=jnp.asarray(data.qpos)[np.array(self.joints, dtype=int)],
         )
-        found = link_forces(self.aero, self.robot, kin, LinkConventions(), wind)
-        return LinkLoads(found.forces, found.arm_points)
+        links = link_forces(self.aero, self.robot, kin, LinkConventions(), wind)
+        return LinkLoads(links.forces, links.arm_points)
 
     def xfrc(self, data: Any, wind: Float[Array, "3"]) -> Float[Array, "nbody 6"]:
         """Return force and torque on every body about its centre of mass [N, N m], as in `xfrc_applied`. Pure."""
@@ -234,13 +234,13 @@ def from_robot(model: Any, robot: str = "ironcub_mk1", aero: str | AeroModel | N
     aero = default_model(ours) if aero is None else aero
     chosen = aero_model(settings(aero), ours) if isinstance(aero, str) else aero
     try:
-        found = _air(model, chosen, ours, [prefix + name for name in ours.body_names])
+        air = _air(model, chosen, ours, [prefix + name for name in ours.body_names])
         joints = [_index(model, "joint", prefix + name) for name in ours.joint_names]
     except ValueError as reason:
         hint = f"MuJoCo fixes the base of a URDF to its world; air.mujoco_model({robot!r}) makes a model that has all"
         raise ValueError(f"{reason}; {hint}") from None
     starts = model.joint_q_start.numpy() if _is_newton(model) else model.jnt_qposadr
-    return replace(found, joints=tuple(int(starts[joint]) for joint in joints))
+    return replace(air, joints=tuple(int(starts[joint]) for joint in joints))
 
 
 def from_links(model: Any, links: Sequence[Link], aero: str = "sphere_cylinder") -> Air:

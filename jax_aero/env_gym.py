@@ -108,8 +108,8 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Fly one tick."""
         clipped = env_task.limit_action(np, action, (self._size,), np.float64)
         obs, lost, ended, parts = _step([self], clipped[None])
-        found = {name: float(values[0]) for name, values in parts.items()}
-        return obs[0], 0.0 if lost[0] else sum(found.values()), bool(lost[0]), bool(ended[0]), found
+        terms = {name: float(values[0]) for name, values in parts.items()}
+        return obs[0], 0.0 if lost[0] else sum(terms.values()), bool(lost[0]), bool(ended[0]), terms
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override,unused-ignore]
         """Return the picture of the latest tick, before any of the first one: (480, 640, 3)."""

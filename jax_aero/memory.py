@@ -95,8 +95,8 @@ def growth(config: Mapping[str, Any], log: Mapping[str, ArrayLike] | None = None
     own = _commands(config, log)
     apart = [(_commands(config, _nudged(log, first, seed)) - own)[first:] / NUDGE for seed in (0, 1)]
     difference = np.stack([np.abs(commands).max(axis=1) for commands in apart], axis=1)
-    found = eigenvalues([commands[settled - first :] for commands in apart])
-    return Growth(found, np.arange(len(difference)) * np.float64(step), difference, step)
+    greatest = eigenvalues([commands[settled - first :] for commands in apart])
+    return Growth(greatest, np.arange(len(difference)) * np.float64(step), difference, step)
 
 
 def at_rest(config: Mapping[str, Any]) -> rust.Config:
@@ -125,8 +125,8 @@ def eigenvalues(samples: list[Array]) -> NDArray[np.complex128]:
     u, sigma, v = np.linalg.svd(x_0 / scale, full_matrices=False)
     rank = min(RANK, int(np.sum(sigma > NOISE * sigma[0])))
     reduced = u[:, :rank].T @ (x_1 / scale) @ v[:rank].T / sigma[:rank]
-    found = np.linalg.eigvals(reduced).astype(np.complex128) ** (1.0 / PAIR)
-    return found[np.argsort(-np.abs(found))]
+    values = np.linalg.eigvals(reduced).astype(np.complex128) ** (1.0 / PAIR)
+    return values[np.argsort(-np.abs(values))]
 
 
 def _commands(config: Mapping[str, Any], log: Mapping[str, ArrayLike]) -> Array:

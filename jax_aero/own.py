@@ -99,8 +99,8 @@ def serve() -> None:
         answers.flush()
 
     try:
-        found = getattr(_run(Path(file)), name, None)
-        controller: Any = found if not inspect.isclass(found) else cast(Any, found)(config)
+        named = getattr(_run(Path(file)), name, None)
+        controller: Any = named if not inspect.isclass(named) else cast(Any, named)(config)
     except Exception as reason:
         reply(reason=_where(reason, file))
         return

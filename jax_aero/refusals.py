@@ -113,8 +113,8 @@ def refuse(config: ScenarioConfig, *, of_law: bool = False) -> None:
     ValueError
         If the configuration contains any.
     """
-    if found := list(_describe(config, of_law=of_law)):
-        raise ValueError("\n".join(found))
+    if reasons := list(_describe(config, of_law=of_law)):
+        raise ValueError("\n".join(reasons))
 
 
 def _describe(config: ScenarioConfig, *, of_law: bool) -> Iterator[str]:

@@ -71,7 +71,7 @@ def ticks_reproduced(
 
 def refused(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> dict[tuple[str, ...], int]:
     """Return in how many ticks the controller refused signals that are there, unless it did so in the flight too."""
-    found = {}
+    counts = {}
     modes, flown = (signals.get("degraded_modes") for signals in (computed, recorded))
     if modes is None:
         return {}
@@ -86,5 +86,5 @@ def refused(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> dic
         if flown is not None:
             is_refused &= ~(np.nan_to_num(flown).astype(int) & bit > 0)
         if is_refused.any():
-            found[names] = int(is_refused.sum())
-    return found
+            counts[names] = int(is_refused.sum())
+    return counts

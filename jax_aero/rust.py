@@ -856,8 +856,8 @@ class Flight:
 
 def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any nonzero length."""
-    found: Array = spatial.rotation_from_wxyz(np.asarray(wxyz, dtype=np.float64))
-    return found
+    rotations: Array = spatial.rotation_from_wxyz(np.asarray(wxyz, dtype=np.float64))
+    return rotations
 
 
 class Csv(NamedTuple):

@@ -111,14 +111,14 @@ def plotter() -> Any:
     except ModuleNotFoundError as missing:
         raise MissingRun(missing_package("it", missing, "flow")) from None
     with pyvista.vtk_verbosity("error"):  # VTK warns of every unavailable kind of window
-        found = pyvista.Plotter(off_screen=True, window_size=PIXELS, lighting="three lights")
+        window = pyvista.Plotter(off_screen=True, window_size=PIXELS, lighting="three lights")
     # The last kind that VTK tries; without its library it would end the process.
-    if found.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and find_library("OSMesa") is None:
+    if window.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and find_library("OSMesa") is None:
         raise MissingRun(
             "there is no off-screen OpenGL; install EGL or OSMesa, e.g. the Debian packages `libegl1 libgl1-mesa-dri` "
             "or `libosmesa6`"
         )
-    return found
+    return window
 
 
 FIGURES = {

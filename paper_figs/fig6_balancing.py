@@ -97,8 +97,8 @@ def _record(name: str) -> dict[str, Any]:
         return {}
     from jax_aero.base.parquet import read_table
 
-    found = next((record for start, record in RECORDS.items() if name.startswith(start)), None)
-    files = [] if found is None else [places.CONFIGS / "records" / f"{found}{part}.parquet" for part in ("", "_com")]
+    kept = next((record for start, record in RECORDS.items() if name.startswith(start)), None)
+    files = [] if kept is None else [places.CONFIGS / "records" / f"{kept}{part}.parquet" for part in ("", "_com")]
     tables = [read_table(path) for path in files if path.is_file()]
     return {column: table[column].to_numpy() for table in tables for column in table.column_names}
 

@@ -140,14 +140,14 @@ def _of_controllers(_: Asked) -> Rows:
 
 def _of_compared(_: Asked) -> Rows:
     words = {"tick": "every tick, and the flight from its start", "law": "the law alone", "nothing": "nothing"}
-    found: dict[tuple[str, ...], list[str]] = {}
+    flights: dict[tuple[str, ...], list[str]] = {}
     for name in places.names("experiments"):
         config = rust.load_config(name)
         lacks = refused(scenario_config(config))
         parts = ({f"`{refusal.key}`" for refusal in lacks}, {refusal.lacks for refusal in lacks})
-        found.setdefault((words[compared(config)], *(", ".join(sorted(part)) for part in parts)), []).append(name)
-    whole = found.pop((words["tick"], "", ""))
-    rows = [[", ".join(f"`{name}`" for name in names), *how] for how, names in sorted(found.items())]
+        flights.setdefault((words[compared(config)], *(", ".join(sorted(part)) for part in parts)), []).append(name)
+    whole = flights.pop((words["tick"], "", ""))
+    rows = [[", ".join(f"`{name}`" for name in names), *how] for how, names in sorted(flights.items())]
     return ["experiments", "compared", "JAX refuses", "as it lacks"], [
         *rows,
         [f"the {len(whole)} others", words["tick"], "", ""],

@@ -60,10 +60,12 @@ def main(arguments: Sequence[str]) -> int:
         if not given.results.is_dir():
             raise Refused(f"`{given.results}` is no folder; expected one with results, as `jax-aero fly` makes it")
         results = Results(given.results, stale=given.stale)
-        found = {key: claim.find(results) for key, claim in all_claims().items()}
-        measured = {key: found[key] for key, claim in all_claims().items() if claim.commands and not claim.is_of_sweep}
+        findings = {key: claim.find(results) for key, claim in all_claims().items()}
+        measured = {
+            key: findings[key] for key, claim in all_claims().items() if claim.commands and not claim.is_of_sweep
+        }
         claims: Path = given.claims or results.folder / "claims.json"
-        page = report(results, found)
+        page = report(results, findings)
         for path, text in (
             (results.folder / "report.md", page),
             (results.folder / "report.html", to_html(page, results.folder)),
@@ -71,24 +73,24 @@ def main(arguments: Sequence[str]) -> int:
         ):
             write_text(path, text)
             print(path)
-        failed = [key for key, finding in found.items() if finding.verdict.kind is Kind.ERROR]
+        failed = [key for key, finding in findings.items() if finding.verdict.kind is Kind.ERROR]
         for key in failed:
-            print(f"{key}: {found[key].verdict}", file=sys.stderr)
+            print(f"{key}: {findings[key].verdict}", file=sys.stderr)
         for name, differs in results.refused.items():
             print(f"refused: {name} is {ANOTHER} ({differs})", file=sys.stderr)
-        unlike = check(found) if given.check else 0
+        unlike = check(findings) if given.check else 0
         return int(bool(failed or results.refused) or unlike)
 
     return exit_status(work)
 
 
-def check(found: Mapping[str, Finding]) -> int:
+def check(findings: Mapping[str, Finding]) -> int:
     """Print the verdicts from results that are not the kept ones; return the exit status."""
     known, claims = documented(), all_claims()
-    judged = [key for key, one in found.items() if claims[key].commands and one.verdict.kind is not Kind.NOT_FLOWN]
-    unlike = [key for key in judged if found[key].verdict != known[key].verdict]
+    judged = [key for key, one in findings.items() if claims[key].commands and one.verdict.kind is not Kind.NOT_FLOWN]
+    unlike = [key for key in judged if findings[key].verdict != known[key].verdict]
     for key in unlike:
-        print(f"{key}: {found[key].verdict}; the documentation has: {known[key].verdict}", file=sys.stderr)
+        print(f"{key}: {findings[key].verdict}; the documentation has: {known[key].verdict}", file=sys.stderr)
     print(f"{len(judged) - len(unlike)} of {len(judged)} verdicts from results are those of the documentation")
     return int(bool(unlike))
 
@@ -96,10 +98,10 @@ def check(found: Mapping[str, Finding]) -> int:
 # --- the report of a results folder ---------------------------------------------------------------------------------
 
 
-def report(results: Results, found: Mapping[str, Finding]) -> str:
+def report(results: Results, findings: Mapping[str, Finding]) -> str:
     """Return the whole report: what was found, the runs that it rests on, then every claim and every sweep."""
     commit = manifest.git_state()["commit"]
-    missing = [key for key, finding in found.items() if finding.verdict.kind is Kind.NOT_FLOWN]
+    missing = [key for key, finding in findings.items() if finding.verdict.kind is Kind.NOT_FLOWN]
     unlike = (Kind.IN_PART, Kind.DIFFERS, Kind.ERROR)
     claims, flown = all_claims(), [name for name in results.flights if name not in results.refused]
     drawn = {item.figure: f"{item.name}: {item.shows}" for item in reversed(all_items()) if item.figure}
@@ -107,15 +109,17 @@ def report(results: Results, found: Mapping[str, Finding]) -> str:
     return markdown(
         "report.md",
         version=f"jax-aero {jax_aero.__version__}" + (f", commit `{commit[:10]}`" if commit else ""),
-        counted=count_verdicts(found.values()),
-        unlike=[_claim(key, finding) for key, finding in found.items() if finding.verdict.kind in unlike],
+        counted=count_verdicts(findings.values()),
+        unlike=[_claim(key, finding) for key, finding in findings.items() if finding.verdict.kind in unlike],
         refused=list(results.refused.items()),
         another=ANOTHER,
         run_headings=HEADINGS,
         runs=[_run(results, name) for name in PAPER_RUNS if name in flown],
         others=[_run(results, name) for name in flown if name not in PAPER_RUNS],
         figures=pictures(results, ((name, drawn[name]) for name in reversed(drawn) if name not in swept)),
-        claims=[(*_claim(key, finding), _origin(results, key)) for key, finding in found.items() if key not in missing],
+        claims=[
+            (*_claim(key, finding), _origin(results, key)) for key, finding in findings.items() if key not in missing
+        ],
         missing=[(claims[key].where, claims[key].states, _commands(key)) for key in missing],
         sweeps=[_sweep(results, name) for name in results.sweeps if f"sweep {name}" not in results.refused],
     )
@@ -138,9 +142,9 @@ def _origin(results: Results, key: str) -> str:
     return " ".join(filter(None, (f"[{figure}]({path})" if path else "", _commands(key))))
 
 
-def count_verdicts(found: Collection[Finding]) -> str:
+def count_verdicts(findings: Collection[Finding]) -> str:
     """Return the number of claims with each kind of verdict."""
-    return say_counts(Counter(finding.verdict.kind for finding in found))
+    return say_counts(Counter(finding.verdict.kind for finding in findings))
 
 
 def say_counts(counts: Counter[Kind], what: str = "claims") -> str:
@@ -194,19 +198,19 @@ def _sweep(results: Results, name: str) -> Mapping[str, object]:
 def documented() -> dict[str, Finding]:
     """Return the finding of every claim: kept, outdated if it is of another claim or configuration, or from files."""
     known, swept, nothing = judge.read(CLAIMS), stored.findings(), Results(DOCS)
-    found = {}
+    findings = {}
     for key, claim in all_claims().items():
         if key in swept:
-            found[key] = swept[key]
+            findings[key] = swept[key]
         elif key not in known:
-            found[key] = claim.find(nothing)
+            findings[key] = claim.find(nothing)
         else:
             old = known[key]
             is_todays = old.identity == claim.identity
             if is_todays:
                 _check(key, old)
-            found[key] = old if is_todays else replace(old, verdict=Verdict.of(Kind.OUTDATED, old.verdict.text))
-    return found
+            findings[key] = old if is_todays else replace(old, verdict=Verdict.of(Kind.OUTDATED, old.verdict.text))
+    return findings
 
 
 def _check(key: str, finding: Finding) -> None:

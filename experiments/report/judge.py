@@ -179,20 +179,20 @@ class Claim(tables.Table, frozen=True):
         module, _, name = self.measure.partition(".")
         if not name:
             return one()
-        found: Measured = getattr(MEASURES[module], name)(*([known] if module == "results" else []), **self.arguments)
-        return found
+        result: Measured = getattr(MEASURES[module], name)(*([known] if module == "results" else []), **self.arguments)
+        return result
 
     def decide(self, known: Results) -> tuple[str, Verdict]:
         """Return measurement and verdict from results."""
-        found = self.measured(known)
-        return self.text(found), self.judge(found.cases)
+        result = self.measured(known)
+        return self.text(result), self.judge(result.cases)
 
     def find(self, known: Results) -> Finding:
         """Return measurement and verdict from the results that exist."""
         known.made.clear()
         try:
-            found = self.measured(known)
-            measured, verdict = self.text(found), self.judge(found.cases)
+            result = self.measured(known)
+            measured, verdict = self.text(result), self.judge(result.cases)
         except NotFlownError as reason:
             verdict = OUTDATED if isinstance(reason, StaleError) else NOT_FLOWN
             return Finding("; ".join(known.failures(each(self.commands))) or str(reason), verdict)
@@ -205,23 +205,23 @@ class Claim(tables.Table, frozen=True):
             verdict = Verdict.of(Kind.OUTDATED, verdict.text)
         commits = {made.created: made.commit for made in known.made.values() if made.created and made.commit}
         commit = commits[max(commits)] if commits else None
-        return Finding(measured, verdict, commit, self.identity, found.cases if self.commands else {})
+        return Finding(measured, verdict, commit, self.identity, result.cases if self.commands else {})
 
     def check(self, finding: Finding) -> None:
         """Refuse a finding whose text or verdict does not follow from its numbers."""
-        found = Measured(finding.cases)
-        if (said := (self.text(found), self.judge(found.cases))) != (finding.measured, finding.verdict):
+        again = Measured(finding.cases)
+        if (said := (self.text(again), self.judge(again.cases))) != (finding.measured, finding.verdict):
             raise Refused(
                 f'"{finding.measured}", "{finding.verdict}" contradict the numbers beside them, from which follow '
                 f'"{said[0]}", "{said[1]}"'
             )
 
-    def text(self, found: Measured) -> str:
+    def text(self, measured: Measured) -> str:
         """Return what was measured."""
         if not self.says:
-            return found.text
-        said = [self.says.format_map({"case": case, **values}) for case, values in found.cases.items()]
-        return self.before.format_map(next(iter(found.cases.values()))) + self.join.join(said)
+            return measured.text
+        said = [self.says.format_map({"case": case, **values}) for case, values in measured.cases.items()]
+        return self.before.format_map(next(iter(measured.cases.values()))) + self.join.join(said)
 
     def judge(self, cases: Cases) -> Verdict:
         """Return the verdict on values by case; `LookupError` if a bound is of a value that no case has."""
@@ -359,8 +359,8 @@ def _plain(claims: Mapping[str, Finding]) -> Any:
         key: {case: {name: _json(value) for name, value in values.items()} for case, values in finding.cases.items()}
         for key, finding in claims.items()
     }
-    found = {key: msgspec.structs.replace(finding, cases=numbers[key]) for key, finding in claims.items()}
-    return msgspec.to_builtins(found)
+    findings = {key: msgspec.structs.replace(finding, cases=numbers[key]) for key, finding in claims.items()}
+    return msgspec.to_builtins(findings)
 
 
 def _json(value: Any) -> Any:
@@ -376,7 +376,7 @@ def _with_nan(cases: Cases) -> Cases:
     }
 
 
-def to_json(found: Mapping[str, Finding], kept: Path) -> str:
+def to_json(findings: Mapping[str, Finding], kept: Path) -> str:
     """Return findings from results as JSON, each with its commit.
 
     A claim that is not flown here, or otherwise than today, keeps its stored finding. The commit is that of the
@@ -384,7 +384,7 @@ def to_json(found: Mapping[str, Finding], kept: Path) -> str:
     """
     older, here = read(kept), manifest.git_state()["commit"]
     claims = {}
-    for key, finding in found.items():
+    for key, finding in findings.items():
         old = older.get(key)
         is_kept = finding.verdict.kind in (Kind.NOT_FLOWN, Kind.OUTDATED) or (
             old is not None and (old.measured, old.verdict) == (finding.measured, finding.verdict)

@@ -36,7 +36,7 @@ def literal(text: str) -> str:
     >>> literal("[a](b) `c` & **d**")
     '&#91;a&#93;(b) &#96;c&#96; &#38; &#42;&#42;d&#42;&#42;'
     """
-    return re.sub(r"[\\`*\[\]<>|&~!]|\b_|_\b", lambda found: f"&#{ord(found[0])};", " ".join(text.split()))
+    return re.sub(r"[\\`*\[\]<>|&~!]|\b_|_\b", lambda match: f"&#{ord(match[0])};", " ".join(text.split()))
 
 
 def inline(text: object) -> str:

@@ -73,8 +73,8 @@ def _table() -> _Paper:
 @cache
 def all_claims() -> dict[str, Claim]:
     """Return all claims by key: those of the table whose studies are there, then those in the files of sweeps."""
-    found = {key: claim for key, claim in _table().claim.items() if all(map(_is_here, claim.commands))}
-    return found | {claim.key: of_sweep(name, claim) for name in SWEEPS for claim in stated(name)}
+    claims = {key: claim for key, claim in _table().claim.items() if all(map(_is_here, claim.commands))}
+    return claims | {claim.key: of_sweep(name, claim) for name in SWEEPS for claim in stated(name)}
 
 
 class _Stated(tables.Table, frozen=True):
@@ -90,26 +90,26 @@ def stated(name: str) -> tuple[Criterion, ...]:
 @cache
 def sections() -> Mapping[str, Sequence[Item]]:
     """Return the table without studies that are absent, with all other figures and sweeps as items beyond the paper."""
-    found: dict[str, list[Item]] = {section.title: [] for section in _table().section}
+    items_of: dict[str, list[Item]] = {section.title: [] for section in _table().section}
     for section in _table().section:
         for item in section.item:
             claims = tuple(key for key in item.claims if key in all_claims())
             if item.figure in ("", *FIGURES, *SWEEPS) and (claims or not item.claims):
                 made_by = tuple(filter(_is_here, item.made_by))
                 shows = item.shows or _title(item.figure)
-                found[section.title].append(replace(item, shows=shows, claims=claims, made_by=made_by))
-    shown = {item.figure for items in found.values() for item in items}
+                items_of[section.title].append(replace(item, shows=shows, claims=claims, made_by=made_by))
+    shown = {item.figure for items in items_of.values() for item in items}
     others = [
         name for name in (*(name for name in FIGURES if not FIGURES[name].is_of_any), *SWEEPS) if name not in shown
     ]
-    found[OURS] += [Item("beyond", _title(name), name) for name in others]
+    items_of[OURS] += [Item("beyond", _title(name), name) for name in others]
     waiting = set(SWEEPS)
-    for items in found.values():
+    for items in items_of.values():
         for place, item in enumerate(items):
             if item.figure in waiting:
                 waiting.remove(item.figure)
                 items[place] = replace(item, claims=(*item.claims, *(claim.key for claim in stated(item.figure))))
-    return found
+    return items_of
 
 
 def all_items() -> list[Item]:

@@ -218,13 +218,13 @@ class Results:
     @cached_property
     def flights(self) -> dict[str, Flight]:
         """Return every flight without --set, by name; others are not the paper's."""
-        found = {}
+        by_name = {}
         for folder in sorted((self.folder / "flight").glob("[!.]*")):
             path = folder / places.MANIFEST_FILE
             if "--" not in folder.name and os.path.lexists(path):
-                found[folder.name] = Flight(folder, read_json(path, documents.Manifest))
-                _require_whole(folder, found[folder.name].document)
-        return found
+                by_name[folder.name] = Flight(folder, read_json(path, documents.Manifest))
+                _require_whole(folder, by_name[folder.name].document)
+        return by_name
 
     @cached_property
     def sweeps(self) -> dict[str, SweepResult]:
@@ -257,12 +257,12 @@ class Results:
         """Return a finished sweep without failed flights."""
         if name not in self.sweeps:
             raise NotFlownError(f"`jax-aero sweep {name}` has not been run")
-        found, differs = self.sweeps[name], self.differences[f"sweep {name}"]
-        failed = found.document["finished"]["outcomes"].get("error")
+        result, differs = self.sweeps[name], self.differences[f"sweep {name}"]
+        failed = result.document["finished"]["outcomes"].get("error")
         if failed and (self.stale or not differs):
             raise NotFlownError(f"{failed} flights of `jax-aero sweep {name}` could not be flown")
-        self._use(f"sweep {name}", found.document, differs)
-        return found
+        self._use(f"sweep {name}", result.document, differs)
+        return result
 
     def study(self, kind: str, name: str) -> dict[str, Any]:
         """Return the figures of a study."""

@@ -38,15 +38,17 @@ def findings() -> dict[str, Finding]:
 def _find(document: Kept, asked: Criterion, differs: str) -> Finding:
     twice = {document.paired} - {"", *asked.cells}  # a flight of pairs is in two rows
     cells = [cell for cell in document.cells(twice if asked.share else frozenset()) if asked.covers(cell)]
-    found = of_cells(cells, [axis.name for axis in document.axes], asked)
-    verdict = judge.of_sweep(document.name, asked).judge(found.cases)
+    measured = of_cells(cells, [axis.name for axis in document.axes], asked)
+    verdict = judge.of_sweep(document.name, asked).judge(measured.cases)
     if unknown := [
         column for column in asked.at_most if column.endswith(OF_ALL) and any(c[column] is None for c in cells)
     ]:
         verdict = Verdict.of(Kind.OUTDATED, f"`{unknown[0]}` is not kept: {kept.AGAIN}")
     if differs:
-        return Finding(f"{found.text}; {ANOTHER}: {differs}", Verdict.of(Kind.OUTDATED, verdict.text), document.commit)
-    return Finding(found.text, verdict, document.commit)
+        return Finding(
+            f"{measured.text}; {ANOTHER}: {differs}", Verdict.of(Kind.OUTDATED, verdict.text), document.commit
+        )
+    return Finding(measured.text, verdict, document.commit)
 
 
 @cache

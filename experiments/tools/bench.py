@@ -169,8 +169,8 @@ def _print_targets(ours: Times, others: Times, tick: str) -> float | None:
         print(f"| whole tick, p99.9 / p50{what} | {tail / p50:.2f} | 2.5 | {_yes_or_no(tail <= 2.5 * p50)} |")
     for case in CASES_OF_PLANS:
         most = (3000, 3000) if case == "engine lost" else (500, 1500)
-        found = tick_times(tick, f"tick that plans, {case}")[:2]
-        for what, value, target in zip(("p50", "p99.9"), found, most, strict=True):
+        times = tick_times(tick, f"tick that plans, {case}")[:2]
+        for what, value, target in zip(("p50", "p99.9"), times, most, strict=True):
             print(f"| tick that plans, {case}, {what} | {value:.0f} µs | {target} µs | {_yes_or_no(value <= target)} |")
     network = ours["shipped network, links placed"] / 1e3
     print(f"| shipped network, links placed | {network:.1f} µs | 6 µs | {_yes_or_no(network <= 6)} |")

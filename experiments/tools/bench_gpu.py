@@ -95,14 +95,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     untyped.config.update("jax_enable_compilation_cache", False)  # of a program for another device nothing is kept
     os.environ.setdefault("JAX_SKIP_CUDA_CONSTRAINTS_CHECK", "1")  # its versions of libraries are those of a driver
-    found = compute(given.robots)
-    print(listing(found))
+    figures = compute(given.robots)
+    print(listing(figures))
     if jax.default_backend() == "gpu":
         print(listing({f"{name}, {size} robots": measure(name, size) for size in MEASURED for name in RATES}))
-    more = [] if given.store else above(found)
+    more = [] if given.store else above(figures)
     if given.store:
         about = f"XLA's program for an H200, not measured; jax {jax.__version__}; passes of {given.robots} robots"
-        keep.benchmark(NAME, TITLE, about, "python -m experiments.tools.bench_gpu --store", found)
+        keep.benchmark(NAME, TITLE, about, "python -m experiments.tools.bench_gpu --store", figures)
     print("\n".join(f"{name}: a twentieth more than what is stored" for name in more))
     return int(bool(more))
 
@@ -218,8 +218,8 @@ def read(text: str) -> Loop:
         if head := re.match(r"^(ENTRY )?%(\S+) \(.*\{$", line):
             name = head[2]
             computations[name], entry = [], name if head[1] else entry
-        elif name and (found := INSTRUCTION.match(line)):
-            computations[name].append(found)
+        elif name and (match := INSTRUCTION.match(line)):
+            computations[name].append(match)
     if not entry:
         raise ValueError("the program has no entry")
     return _loop(computations, entry, 1, "")
@@ -228,8 +228,8 @@ def read(text: str) -> Loop:
 def _loop(computations: Mapping[str, list[re.Match[str]]], name: str, passes: int | None, shapes: str) -> Loop:
     sizes: dict[str, int] = {}
     kernels, calls, moved, inner = 0, 0, 0, []
-    for found in computations[name]:
-        result, shape, what, inputs, rest = found.groups(default="")
+    for instruction in computations[name]:
+        result, shape, what, inputs, rest = instruction.groups(default="")
         sizes[result] = sum(_bytes(kind, dims, passes) for kind, dims in ARRAY.findall(shape))
         if what == "while":
             trips = re.search(r'"known_trip_count":\{"n":"(\d+)"', rest)
@@ -288,10 +288,10 @@ def compute(robots: int) -> Figures:
     with jax.default_device(jax.devices("cpu")[0]):
         passes = passes_of(robots)
         print(listing(passes), flush=True)
-        found: Figures = {}
+        figures: Figures = {}
         for name, program in (RATES | {GRADIENT: _gradient}).items():
-            found |= _of_program(name, program, passes)
-    return found
+            figures |= _of_program(name, program, passes)
+    return figures
 
 
 def _of_program(name: str, program: Callable[[int], Program], passes: Figures) -> Figures:
@@ -302,21 +302,21 @@ def _of_program(name: str, program: Callable[[int], Program], passes: Figures) -
     workspace = compiled.memory_analysis().temp_size_in_bytes
     loops = [loop for loop in read(compiled.as_text()).inner if loop.passes == TICKS]
     names = [f"{name}, {way}" for way in ("forward", "backward")] if len(loops) > 1 else [name]
-    found: Figures = {}
+    figures: Figures = {}
     for part, loop in zip(names, loops, strict=True):
         of_qps = sum(passes[qp][SLOWEST] * inner.least for qp, inner in zip(QPS, loop.inner, strict=False))
-        found[part] = _figures(loop, batch) | {"with QPs, at least [ms]": 1e3 * (loop.least + of_qps)}
+        figures[part] = _figures(loop, batch) | {"with QPs, at least [ms]": 1e3 * (loop.least + of_qps)}
         if name == TICK:
-            found |= {
+            figures |= {
                 f"a pass of {qp}": _figures(inner, batch) | passes[qp]
                 for qp, inner in zip(QPS, loop.inner, strict=True)
             }
-    found[names[0]] |= {
+    figures[names[0]] |= {
         "robots": batch,
         "workspace of a tick [kB a robot]": workspace / batch / TICKS / 1e3,
     }
     print(f"{name}: compiled in {time.perf_counter() - started:.0f} s", flush=True)
-    return found
+    return figures
 
 
 def _figures(loop: Loop, batch: int) -> dict[str, float]:
@@ -337,14 +337,14 @@ def measure(name: str, batch: int) -> dict[str, float]:
     return {"ticks a second": batch * TICKS / min(times[1:])}
 
 
-def above(found: Figures) -> list[str]:
+def above(figures: Figures) -> list[str]:
     """Return what takes more than is stored, by program and figure."""
     stored = kept.read(NAME).summary
     return [
         f"{name}, {figure}"
-        for name in found
+        for name in figures
         for figure in COMPARED
-        if found[name].get(figure, 0.0) > SLACK * stored.get(name, {}).get(figure, 0.0)
+        if figures[name].get(figure, 0.0) > SLACK * stored.get(name, {}).get(figure, 0.0)
     ]
 
 

@@ -85,16 +85,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"JaxSim is not measured: {reason}")
     peers["Pinocchio"] = of_pinocchio(robot, states)
     try:
-        found = measure(peers, given.turns)
+        figures = measure(peers, given.turns)
     except Refused as reason:
         print(f"error: {reason}", file=sys.stderr)
         return REFUSED
-    print(listing(found))
+    print(listing(figures))
     if given.store:
         versions = ", ".join(f"{name} {manifest.version_of(name)[name]}" for name in ("jax", "mujoco-mjx", "pin"))
         about = f"{manifest.device()['cpu']}; {versions}, {PACKAGES.split()[0].replace('==', ' ')}"
         command = "taskset -c 0 python -m experiments.tools.bench_peers --store"
-        keep.benchmark(NAME, TITLE, about, command, found)
+        keep.benchmark(NAME, TITLE, about, command, figures)
     return 0
 
 
@@ -106,15 +106,15 @@ def measure(peers: Mapping[str, Peer], turns: int) -> dict[str, dict[str, float]
     Refused
         Naming a library that computes something else than JAX.
     """
-    found = {name: difference(name, peer, peers["JAX"]) | (peer.compiled or {}) for name, peer in peers.items()}
+    figures = {name: difference(name, peer, peers["JAX"]) | (peer.compiled or {}) for name, peer in peers.items()}
     for _, (name, peer) in itertools.product(range(turns), peers.items()):
         for figure, run in ((FORWARD, peer.forward), (GRADIENT, peer.backward)):
             if run is not None:
                 started = time.process_time()
                 run()
                 taken = 1e6 * (time.process_time() - started) / len(peer.accelerations)
-                found[name][figure] = min(found[name].get(figure, np.inf), taken)
-    return found
+                figures[name][figure] = min(figures[name].get(figure, np.inf), taken)
+    return figures
 
 
 def difference(name: str, peer: Peer, own: Peer) -> dict[str, float]:
@@ -151,8 +151,8 @@ def of_crate(robot: RobotModel, states: Sequence[Numbers]) -> Peer:
     """Return the crate, which has no gradient."""
     crate, force = rust.Robot(robot.source), force_of(robot)
     rows: list[Any] = [(p, np.asarray(rotation_from_wxyz(w)), s, v) for p, w, s, v in zip(*states, strict=True)]
-    found = np.array([crate.forward_dynamics(row, force) for row in rows])
-    return Peer(found, None, lambda: [crate.forward_dynamics(row, force) for row in rows])
+    accelerations = np.array([crate.forward_dynamics(row, force) for row in rows])
+    return Peer(accelerations, None, lambda: [crate.forward_dynamics(row, force) for row in rows])
 
 
 def of_pinocchio(robot: RobotModel, states: Sequence[Numbers]) -> Peer:
@@ -162,7 +162,7 @@ def of_pinocchio(robot: RobotModel, states: Sequence[Numbers]) -> Peer:
     model.gravity.linear = np.array([0.0, 0.0, -robot.gravity])
     data, joints = model.createData(), [model.joints[model.getJointId(name)] for name in robot.joint_names]
     dofs = np.array([*range(6), *(joint.idx_v for joint in joints)])
-    force, rows, found, by_joints = np.zeros(model.nv), [], [], []
+    force, rows, accelerations, by_joints = np.zeros(model.nv), [], [], []
     force[dofs] = force_of(robot)
     for position, wxyz, angles, velocity in zip(*states, strict=True):
         q, v, axes = np.zeros(model.nq), np.zeros(model.nv), np.eye(model.nv)
@@ -172,11 +172,11 @@ def of_pinocchio(robot: RobotModel, states: Sequence[Numbers]) -> Peer:
         v[dofs] = axes.T @ velocity
         rows.append((q, v))
         turning = np.pad(np.cross(velocity[3:6], velocity[:3]), (0, model.nv - 3))  # its velocity is in base axes
-        found.append(axes @ pin.aba(model, data, q, v, force)[dofs] + turning)
+        accelerations.append(axes @ pin.aba(model, data, q, v, force)[dofs] + turning)
         jacobian = pin.computeABADerivatives(model, data, q, v, force)[0][np.ix_(dofs, dofs[6:])]
-        by_joints.append(2.0 * found[-1] @ axes @ jacobian)
+        by_joints.append(2.0 * accelerations[-1] @ axes @ jacobian)
     return Peer(
-        np.array(found),
+        np.array(accelerations),
         np.array(by_joints),
         lambda: [pin.aba(model, data, q, v, force) for q, v in rows],
         lambda: [pin.computeABADerivatives(model, data, q, v, force) for q, v in rows],
@@ -192,9 +192,9 @@ def of_jax(accelerate: Accelerate, states: Sequence[Numbers]) -> Peer:
     between = time.process_time()
     backward: Any = jax.jit(jax.vmap(gradient)).lower(*batch).compile()
     times = {"compile [s]": between - started, "compile, gradient [s]": time.process_time() - between}
-    found, by_joints = np.asarray(forward(*batch)), np.asarray(backward(*batch)[2])
+    accelerations, by_joints = np.asarray(forward(*batch)), np.asarray(backward(*batch)[2])
     wait = untyped.block_until_ready
-    return Peer(found, by_joints, lambda: wait(forward(*batch)), lambda: wait(backward(*batch)), times)
+    return Peer(accelerations, by_joints, lambda: wait(forward(*batch)), lambda: wait(backward(*batch)), times)
 
 
 def ours(robot: RobotModel) -> Accelerate:
@@ -218,8 +218,8 @@ def mjx(robot: RobotModel) -> Accelerate:
         rates = jnp.concatenate([velocity[:3], turn.T @ velocity[3:6], velocity[6:]])
         qpos = jnp.zeros(compiled.nq).at[:7].set(jnp.concatenate([position, wxyz])).at[order.joints].set(joints)
         data = start.replace(qpos=qpos, qvel=jnp.zeros(compiled.nv).at[order.dofs].set(rates), qfrc_applied=force)
-        found = mujoco.mjx.forward(model, data).qacc[order.dofs]
-        return jnp.concatenate([found[:3], turn @ found[3:6], found[6:]])
+        acceleration = mujoco.mjx.forward(model, data).qacc[order.dofs]
+        return jnp.concatenate([acceleration[:3], turn @ acceleration[3:6], acceleration[6:]])
 
     return accelerate
 
@@ -239,8 +239,8 @@ def jaxsim(robot: RobotModel) -> Accelerate:
     def accelerate(position: Any, wxyz: Any, joints: Any, velocity: Any) -> Any:
         base, rates, torques = velocity[:6], velocity[6:][order], jnp.asarray(force_of(robot)[6:][order])
         mixed = js.data.JaxSimModelData.build(model, position, wxyz, joints[order], base[:3], base[3:], rates)
-        of_base, found = js.model.forward_dynamics_aba(model, mixed, joint_forces=torques)
-        return jnp.concatenate([of_base, found[np.argsort(order)]])
+        of_base, acceleration = js.model.forward_dynamics_aba(model, mixed, joint_forces=torques)
+        return jnp.concatenate([of_base, acceleration[np.argsort(order)]])
 
     return accelerate
 

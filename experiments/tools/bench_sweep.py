@@ -83,27 +83,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--ray", action="store_true", help="measure a Ray cluster")
     parser.add_argument("--store", action="store_true", help="store what is measured")
     given = parser.parse_args(arguments)
-    found = (measure_ray if given.ray else measure)(given.part)
-    print(listing(found))
+    costs = (measure_ray if given.ray else measure)(given.part)
+    print(listing(costs))
     if given.store:
         name, title = (OF_RAY, TITLE_OF_RAY) if given.ray else (NAME, TITLE)
         options = " --ray" * given.ray + (f" --part {given.part}" if given.part > 1 else "")
         about = f"{manifest.device()['cpu']}; perturbed flights in two cells; one core unless two are named"
-        keep.benchmark(name, title, about, f"python -m experiments.tools.bench_sweep --store{options}", found)
+        keep.benchmark(name, title, about, f"python -m experiments.tools.bench_sweep --store{options}", costs)
     return 0
 
 
 def measure(part: int = 1) -> dict[str, dict[str, float]]:
     """Return the costs of sweeps by case."""
-    found: dict[str, dict[str, float]] = {}
+    costs: dict[str, dict[str, float]] = {}
     for base, duration, flights in COSTS:
         whole, bare = (fly(base, seconds, flights // part) for seconds in (duration, TICK))
         both = fly(base, duration, flights // part, cores=2)
-        found[f"{whole.flights} flights of {base}, {duration:g} s"] = of_flights(whole, bare) | of_cores(whole, both)
+        costs[f"{whole.flights} flights of {base}, {duration:g} s"] = of_flights(whole, bare) | of_cores(whole, both)
     for flights in OVERHEAD:
         bare = fly("test2", TICK, flights // part)
-        found[f"{bare.flights} flights of a tick"] = of_overhead(bare)
-    return found
+        costs[f"{bare.flights} flights of a tick"] = of_overhead(bare)
+    return costs
 
 
 def measure_ray(part: int = 1) -> dict[str, dict[str, float]]:

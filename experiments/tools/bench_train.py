@@ -63,11 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--dataset", type=Path, metavar="FILE", help="measure the time to the paper's error on it")
     parser.add_argument("--store", action="store_true", help="store what is measured")
     given = parser.parse_args(arguments)
-    found = measure(networks() | peers(), given.turns)
+    figures = measure(networks() | peers(), given.turns)
     if given.dataset:
-        found["compact, to the paper's error"] = time_to_error(given.dataset)
-    print(listing(found))
-    slower = [] if given.store else below(found)
+        figures["compact, to the paper's error"] = time_to_error(given.dataset)
+    print(listing(figures))
+    slower = [] if given.store else below(figures)
     if given.store:
         command = "taskset -c 0 python -m experiments.tools.bench_train --store"
         command += " --dataset results/datasets/freestream.nc" * bool(given.dataset)
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             TITLE,
             f"{manifest.device()['cpu']}; one thread; batches of {PRODUCT} rows; {packages}",
             command,
-            found,
+            figures,
         )
     print("\n".join(f"{name}: more than a tenth below what is stored" for name in slower))
     return int(bool(slower))
@@ -162,19 +162,19 @@ def measure(cases: Mapping[str, tuple[float, Callable[[], Any]]], turns: int) ->
                 best[name] = min(best[name], time.process_time() - started)
     rates = {name: work / best[name] for name, (work, _) in cases.items()}
     products = [name for name in ("NumPy", *NETWORKS) if name in cases]
-    found = {name: {RATE: rates[name] / 1e9, SHARE: rates[name] / rates["NumPy"]} for name in products}
+    figures = {name: {RATE: rates[name] / 1e9, SHARE: rates[name] / rates["NumPy"]} for name in products}
     for name in products:
         if PEER + name in rates:
-            found[name][TORCH] = rates[PEER + name] / rates["NumPy"]
+            figures[name][TORCH] = rates[PEER + name] / rates["NumPy"]
     paper = next(iter(NETWORKS))
     training, _ = config.read(places.CONFIGS / "training" / "paper.toml")
     operations = 6.0 * weights(training.start(0)) * ROWS * training.training.epochs
-    found["the paper's network, all epochs"] = {
+    figures["the paper's network, all epochs"] = {
         "operations": operations,
         "on one core here [h]": operations / rates[paper] / 3600.0,
         "on an H200 at its peak [min]": operations / H200 / 60.0,
     }
-    return found
+    return figures
 
 
 def time_to_error(dataset: Path) -> dict[str, float]:
@@ -185,24 +185,24 @@ def time_to_error(dataset: Path) -> dict[str, float]:
     network = training.start(training.seed)
     seen, unseen = (samples_of(network, training.robot_model, rows.take(of)) for of in (part.train, part.held_out))
     settings = structs.replace(training.training, validate_every=1)
-    started, found = time.process_time(), list[tuple[float, float]]()
+    started, curve = time.process_time(), list[tuple[float, float]]()
 
     def on_epoch(_: int, __: float, error: float | None) -> None:
         assert error is not None
-        found.append((error / unseen.y.shape[1], time.process_time() - started))
+        curve.append((error / unseen.y.shape[1], time.process_time() - started))
 
     loop.fit(network, seen, unseen, settings, training.seed, on_epoch=on_epoch)
-    reached = [number for number, (error, _) in enumerate(found) if error <= PAPER_ERROR]
-    figures = {"least error [m4]": min(error for error, _ in found), "all epochs [s]": found[-1][1]}
+    reached = [number for number, (error, _) in enumerate(curve) if error <= PAPER_ERROR]
+    figures = {"least error [m4]": min(error for error, _ in curve), "all epochs [s]": curve[-1][1]}
     if reached:
-        figures |= {"epochs": reached[0] + 1, "to the paper's error [s]": found[reached[0]][1]}
+        figures |= {"epochs": reached[0] + 1, "to the paper's error [s]": curve[reached[0]][1]}
     return figures
 
 
-def below(found: Mapping[str, Mapping[str, float]]) -> list[str]:
+def below(figures: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Return the networks whose share of NumPy's rate is below what is stored."""
     stored = kept.read(NAME).summary
-    return [name for name in NETWORKS if found[name][SHARE] < SLACK * stored[name][SHARE]]
+    return [name for name in NETWORKS if figures[name][SHARE] < SLACK * stored[name][SHARE]]
 
 
 if __name__ == "__main__":

@@ -50,12 +50,12 @@ PAGE = "reference/configuration.md"
 def files() -> dict[Path, str]:
     """Return the text of every generated file."""
     crate = rust.schemas()
-    found = refer_to_files({name: allow_parts(schema) for name, schema in crate.items()})
-    found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in TYPES.items()}
-    found["sweeps"] = _with_files(found["sweeps"])
+    schemas = refer_to_files({name: allow_parts(schema) for name, schema in crate.items()})
+    schemas |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in TYPES.items()}
+    schemas["sweeps"] = _with_files(schemas["sweeps"])
     folder = places.CONFIGS / "schema"
     return {
-        **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(found.items())},
+        **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(schemas.items())},
         **{path: _json({"$schema": DIALECT, **tables.schema(kind)}) for path, kind in _of_studies()},
     }
 
@@ -64,8 +64,8 @@ def _of_studies() -> Iterator[tuple[Path, Any]]:
     """Yield file and type of the schema of every study that has configurations."""
     for name in studies.names():
         if places.names(name):
-            found = importlib.import_module(f"experiments.studies.{name}.study").STUDY
-            yield studies.FOLDER / name / "schema.json", found.config
+            study = importlib.import_module(f"experiments.studies.{name}.study").STUDY
+            yield studies.FOLDER / name / "schema.json", study.config
 
 
 def _json(schema: Node) -> str:
@@ -102,7 +102,7 @@ def allow_parts(schema: Node) -> Node:
 def refer_to_files(schemas: Mapping[str, Node]) -> dict[str, Node]:
     """Return schemas in which a type that has a file of its own is a reference to that file."""
     file_of = {schema["title"]: f"{name}.schema.json" for name, schema in schemas.items()}
-    found = {}
+    referring = {}
     for name, schema in schemas.items():
         changed = copy.deepcopy(schema)
         definitions = changed.pop("$defs", {})
@@ -118,8 +118,8 @@ def refer_to_files(schemas: Mapping[str, Node]) -> dict[str, Node]:
                     follow(definitions[kind])
 
         follow(changed)
-        found[name] = {**changed, "$defs": kept} if kept else changed
-    return found
+        referring[name] = {**changed, "$defs": kept} if kept else changed
+    return referring
 
 
 def _say_absent(node: Node) -> None:
@@ -195,12 +195,12 @@ def reference(schemas: Mapping[str, Node]) -> str:
 
 def _places(tables: Mapping[str, Node]) -> dict[str, list[str]]:
     """Return the tables below that without a name, each with the dotted keys at which it occurs."""
-    found: dict[str, list[str]] = {"": [""]}
+    keys_of: dict[str, list[str]] = {"": [""]}
 
     def walk(node: Node, key: str) -> None:
         node = _given(node)
         if (name := name_of(node)) and not choices_of(tables[name]):
-            known = found.setdefault(name, [])
+            known = keys_of.setdefault(name, [])
             if key not in known:
                 known.append(key)
                 walk_inside(tables[name], key)
@@ -215,7 +215,7 @@ def _places(tables: Mapping[str, Node]) -> dict[str, list[str]]:
                 walk(inner, f"{key}.{name}".lstrip("."))
 
     walk_inside(tables[""], "")
-    return found
+    return keys_of
 
 
 def _given(node: Node) -> Node:
@@ -248,8 +248,8 @@ def kinds(node: Node) -> Iterator[tuple[str, str, Node]]:
 
 def items(node: Node) -> Node:
     """Return the schema of the entries of a list."""
-    found: Node = node.get("items") or node["prefixItems"][0]
-    return found
+    entries: Node = node.get("items") or node["prefixItems"][0]
+    return entries
 
 
 def _section(node: Node, tables: Mapping[str, Node]) -> Iterator[str]:

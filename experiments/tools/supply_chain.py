@@ -73,8 +73,8 @@ def _compile_requirements(*arguments: str, given: str = "") -> str:
 
 def _stanzas(text: str) -> dict[str, str]:
     """Return the entries of a file of requirements by `name==version`, with their hashes."""
-    found = re.findall(r"^([\w.-]+==\S+)( \\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", text, re.MULTILINE)
-    return {normalise(name): name + hashes for name, hashes in found}
+    stanzas = re.findall(r"^([\w.-]+==\S+)( \\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", text, re.MULTILINE)
+    return {normalise(name): name + hashes for name, hashes in stanzas}
 
 
 def normalise(requirement: str) -> str:
@@ -97,13 +97,13 @@ def licence_of(package: importlib.metadata.Distribution) -> str:
 def unusual_licences() -> dict[str, str]:
     """Return the installed packages whose licence is none of `PERMITTED` or `UNSTATED`, by name."""
     permitted = re.compile("|".join(PERMITTED.values()))
-    found = {}
+    unusual = {}
     for package in importlib.metadata.distributions():
         stated = licence_of(package)
         parts = re.split(r" (?:AND|OR) ", stated)
         if stated not in UNSTATED.values() and not all(permitted.fullmatch(part) for part in parts):
-            found[package.metadata["Name"]] = stated
-    return found
+            unusual[package.metadata["Name"]] = stated
+    return unusual
 
 
 # --- crates -------------------------------------------------------------------------------------------------------
@@ -117,8 +117,8 @@ def crates() -> list[dict[str, Any]]:
     )
     built_in = {tuple(line.split()[:2]) for line in tree.splitlines() if line}
     packages = json.loads(_cargo("metadata", "--format-version", "1"))["packages"]
-    found = [each for each in packages if each["source"] and (each["name"], f"v{each['version']}") in built_in]
-    return sorted(found, key=lambda each: (each["name"], each["version"]))
+    built = [each for each in packages if each["source"] and (each["name"], f"v{each['version']}") in built_in]
+    return sorted(built, key=lambda each: (each["name"], each["version"]))
 
 
 def _cargo(command: str, *arguments: str) -> str:
@@ -230,10 +230,12 @@ def audit() -> int:
     else:
         command = [sys.executable, "-m", "pip_audit", "--requirement", str(LOCK), "--no-deps", "--disable-pip"]
         answer = subprocess.run([*command, "--format", "json"], capture_output=True, text=True, check=False)
-        found = json.loads(answer.stdout)["dependencies"] if answer.stdout else []
-        if not any("vulns" in each for each in found):
+        packages = json.loads(answer.stdout)["dependencies"] if answer.stdout else []
+        if not any("vulns" in each for each in packages):
             print("not checked: vulnerabilities of Python packages (the service of advisories cannot be reached)")
-        failed += [f"{each['name']} {each['version']}: {bad['id']}" for each in found for bad in each.get("vulns", [])]
+        failed += [
+            f"{each['name']} {each['version']}: {bad['id']}" for each in packages for bad in each.get("vulns", [])
+        ]
     print("\n".join(failed) or "no objection")
     return 1 if failed else 0
 

@@ -342,11 +342,11 @@ def read_postures(path: str | PathLike[str], joints: Sequence[str]) -> dict[str,
         If a value is invalid; the message names file, line, column and value.
     """
     columns = {"name": "text", **{f"{joint}_deg": "number" for joint in joints}}
-    found = rust.read_csv(read_bytes(Path(path)), str(path), columns)
-    names, angles = found.texts["name"], np.column_stack(list(found.numbers.values()))
+    table = rust.read_csv(read_bytes(Path(path)), str(path), columns)
+    names, angles = table.texts["name"], np.column_stack(list(table.numbers.values()))
     for row, name in enumerate(names):
         if name in names[:row]:
-            raise ValueError(f"line {found.lines[row]} of {path}: posture `{name}` stands there twice")
+            raise ValueError(f"line {table.lines[row]} of {path}: posture `{name}` stands there twice")
     return dict(zip(names, angles, strict=True))
 
 
@@ -357,6 +357,6 @@ def number(text: str | None, place: str, column: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        found = "the line ends before it" if text is None else f"{text!r}"
-        raise ValueError(f"{place}, column `{column}`: {found}; expected a finite number")
+        given = "the line ends before it" if text is None else f"{text!r}"
+        raise ValueError(f"{place}, column `{column}`: {given}; expected a finite number")
     return value

@@ -62,9 +62,9 @@ def aero_model(settings: config.AeroConfig, robot: RobotModel, read_network: Rea
         case config.AxisymmetricAeroConfig():
             sets = robot.aero_links.coefficients
             if robot.aero_links.count and settings.coefficients not in sets:
-                found = f"coefficients is `{settings.coefficients}`"
+                stated = f"coefficients is `{settings.coefficients}`"
                 known = ", ".join(sorted(sets)) or 'none; expected another model, such as "sphere_cylinder"'
-                raise ValueError(f"{found}; {robot.name} has {known}")
+                raise ValueError(f"{stated}; {robot.name} has {known}")
             return Axisymmetric(
                 k_a=0.5 * leaf(settings.air_density), areas=sets.get(settings.coefficients, leaf([]).reshape(0, 6))
             )

@@ -75,9 +75,9 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
         If the content is invalid; the message names the file, the card's key or the tensor, its value and what was
         expected.
     """
-    found = rust.read_network(path, robot.joint_names, robot.aero_links.names)
-    layers = tuple(Layer(jnp.asarray(weight), jnp.asarray(bias)) for weight, bias in found.pop("layers"))
-    scale, offset = (jnp.asarray(found.pop(part)) for part in ("scale", "offset"))
-    of = [found[key] for key in ("joints", "blocks", "layout", "frame")]
-    mirror = mirror_of(robot, *of) if found.pop("mirror") else None
-    return Network(**found, layers=layers, scale=scale, offset=offset, mirror=mirror)
+    card = rust.read_network(path, robot.joint_names, robot.aero_links.names)
+    layers = tuple(Layer(jnp.asarray(weight), jnp.asarray(bias)) for weight, bias in card.pop("layers"))
+    scale, offset = (jnp.asarray(card.pop(part)) for part in ("scale", "offset"))
+    of = [card[key] for key in ("joints", "blocks", "layout", "frame")]
+    mirror = mirror_of(robot, *of) if card.pop("mirror") else None
+    return Network(**card, layers=layers, scale=scale, offset=offset, mirror=mirror)

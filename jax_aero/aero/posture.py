@@ -38,8 +38,8 @@ def link_frames(robot: RobotModel, joint_position: Float[np.ndarray, "B n"]) -> 
     """
     shapes, shape_of = np.unique(joint_position, axis=0, return_inverse=True)
     with jax.enable_x64(True):
-        found = _frames(robot, shapes)
-    return LinkFrames(*(np.asarray(part)[shape_of.reshape(-1)] for part in found))
+        frames = _frames(robot, shapes)
+    return LinkFrames(*(np.asarray(part)[shape_of.reshape(-1)] for part in frames))
 
 
 @jax.jit
@@ -86,8 +86,8 @@ def rms_by_posture(
     sums = np.stack([np.bincount(number, one) for one in square])
     count = np.bincount(number)
     drawn = np.random.default_rng(seed).integers(len(names), size=(draws, len(names)))
-    found: Floats = np.sqrt(sums[:, drawn].sum(axis=-1) / count[drawn].sum(axis=-1)).T
-    return found
+    rms: Floats = np.sqrt(sums[:, drawn].sum(axis=-1) / count[drawn].sum(axis=-1)).T
+    return rms
 
 
 DRAWS, SEED = 1000, 1

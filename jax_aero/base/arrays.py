@@ -10,6 +10,6 @@ import numpy as np
 def namespace(*values: Any) -> Any:
     """Return the functions of these arrays: JAX's if one is its own, otherwise NumPy's, which compile nothing."""
     for value in values:
-        if (found := getattr(value, "__array_namespace__", lambda: np)()) is not np:
-            return found
+        if (own := getattr(value, "__array_namespace__", lambda: np)()) is not np:
+            return own
     return np

@@ -20,8 +20,8 @@ def require() -> None:
 
 def modules(pattern: str) -> list[str]:
     """Return the names of the modules of a checkout whose files have this pattern; none without a checkout."""
-    found = sorted(places.HOME.glob(pattern)) if places.IS_CHECKOUT else []
-    return [".".join(path.relative_to(places.HOME).with_suffix("").parts) for path in found if path.stem != "__init__"]
+    paths = sorted(places.HOME.glob(pattern)) if places.IS_CHECKOUT else []
+    return [".".join(path.relative_to(places.HOME).with_suffix("").parts) for path in paths if path.stem != "__init__"]
 
 
 def load(name: str) -> Any:

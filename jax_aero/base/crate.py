@@ -170,12 +170,12 @@ class Quantity:
 
 
 def _declared(declarations: str) -> Mapping[str, Quantity]:
-    found = {}
+    quantities = {}
     for row in json.loads(declarations):
         name, label = row.pop("name"), row.pop("label")
         codes = {meaning: code for code, meaning in row.pop("codes")}
-        found[name] = Quantity(label or name.replace("_", " "), tuple(row.pop("dims")), codes=codes, **row)
-    return MappingProxyType(found)
+        quantities[name] = Quantity(label or name.replace("_", " "), tuple(row.pop("dims")), codes=codes, **row)
+    return MappingProxyType(quantities)
 
 
 @functools.cache

@@ -79,10 +79,10 @@ def _count(shape: Any) -> int:
 def _letters_of_attributes(owner: Any, file_size: int) -> int:
     letters = 0
     for name in owner.attrs:
-        found = owner.attrs.get_id(name)
+        stored = owner.attrs.get_id(name)
         # `REFERENCE_LIST`, which no reader needs, is as long as a dimension has variables.
-        if found.dtype.hasobject and found.shape is not None and name != "REFERENCE_LIST":
-            expect(f"letters in `{name}`", _count(found.shape) * file_size, MAX_NUMBERS)
+        if stored.dtype.hasobject and stored.shape is not None and name != "REFERENCE_LIST":
+            expect(f"letters in `{name}`", _count(stored.shape) * file_size, MAX_NUMBERS)
             letters += sum(map(len, np.asarray(owner.attrs[name], dtype=object).ravel()))
             expect("letters", letters, MAX_PART)
     return letters

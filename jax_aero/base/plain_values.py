@@ -32,8 +32,8 @@ def to_table(config: msgspec.Struct) -> dict[str, Any]:
             return {key: drop_absent(item) for key, item in value.items() if item is not None}
         return value
 
-    found: dict[str, Any] = drop_absent(to_builtins(config))
-    return found
+    table: dict[str, Any] = drop_absent(to_builtins(config))
+    return table
 
 
 def _to_builtin(value: Any) -> Any:

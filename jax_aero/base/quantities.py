@@ -93,12 +93,12 @@ def in_columns(summary: Mapping[str, float]) -> dict[str, float]:
 
 def attributes_of(quantity: Quantity, kind: type[Any] = np.int32) -> dict[str, Any]:
     """Return the attributes of its variable in a file; of codes by CF, in the type of the variable's numbers."""
-    found: dict[str, Any] = {"units": quantity.unit, "long_name": quantity.meaning, "label": quantity.label}
+    attributes: dict[str, Any] = {"units": quantity.unit, "long_name": quantity.meaning, "label": quantity.label}
     if quantity.shown:
-        found["shown"] = quantity.shown
+        attributes["shown"] = quantity.shown
     if quantity.codes:
-        found["flag_masks" if quantity.numbers == "bits" else "flag_values"] = np.array(
+        attributes["flag_masks" if quantity.numbers == "bits" else "flag_values"] = np.array(
             [*quantity.codes.values()], kind
         )
-        found["flag_meanings"] = " ".join(quantity.codes)
-    return found
+        attributes["flag_meanings"] = " ".join(quantity.codes)
+    return attributes

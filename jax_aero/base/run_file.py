@@ -23,12 +23,12 @@ from jax_aero.base.terminal import Refused
 def opened(path: Path) -> Iterator[xr.Dataset]:
     """Open the file of a result; a damaged one, and one that lacks what is read from it, is refused by name."""
     try:
-        found = netcdf.open_dataset(path)
+        dataset = netcdf.open_dataset(path)
     except Exception as reason:  # HDF5 fails in many ways on a damaged file
         raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from None
-    with found:
+    with dataset:
         try:
-            yield _complete(found)
+            yield _complete(dataset)
         except Refused:
             raise
         except KeyError as missing:
@@ -40,23 +40,23 @@ def opened(path: Path) -> Iterator[xr.Dataset]:
 
 def read(path: Path) -> xr.Dataset:
     """Read the whole file of a result, as `opened`."""
-    with opened(path) as found:
-        return found.load()
+    with opened(path) as dataset:
+        return dataset.load()
 
 
-def _complete(found: xr.Dataset) -> xr.Dataset:
+def _complete(dataset: xr.Dataset) -> xr.Dataset:
     """Return the dataset of a file, its signals as they are declared today.
 
     Raw measurements that it left out are there, see `result.is_repeated`; a file of an older version has none.
     """
-    if "raw_base_rotation" in found:
-        left_out: dict[str, Any] = {raw: found[name] for raw, name in REPEATED.items() if name in found}
-        if "thrust" in found:
-            left_out["raw_shaft_speed"] = xr.full_like(found["thrust"], np.nan)
-        left_out["raw_height"] = xr.full_like(found["time"], np.nan)
-        found = found.assign({name: values for name, values in left_out.items() if name not in found})
-    if "rotation_error" in found:
+    if "raw_base_rotation" in dataset:
+        left_out: dict[str, Any] = {raw: dataset[name] for raw, name in REPEATED.items() if name in dataset}
+        if "thrust" in dataset:
+            left_out["raw_shaft_speed"] = xr.full_like(dataset["thrust"], np.nan)
+        left_out["raw_height"] = xr.full_like(dataset["time"], np.nan)
+        dataset = dataset.assign({name: values for name, values in left_out.items() if name not in dataset})
+    if "rotation_error" in dataset:
         for name, signal in crate.signals().items():
-            if name in found.variables:
-                found[name].attrs.update(attributes_of(signal))
-    return found
+            if name in dataset.variables:
+                dataset[name].attrs.update(attributes_of(signal))
+    return dataset

@@ -40,8 +40,8 @@ def aero_config(aero: Mapping[str, Any]) -> AeroConfig:
     ConfigError
         If a key or value is invalid.
     """
-    found: AeroConfig = msgspec.convert(crate.resolve_aero(aero), AeroConfig)
-    return found
+    typed: AeroConfig = msgspec.convert(crate.resolve_aero(aero), AeroConfig)
+    return typed
 
 
 OUTSIDE, COPIES = "(outside the repository)", "files"

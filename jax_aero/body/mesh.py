@@ -69,11 +69,11 @@ MAX_TRIANGLES, MAX_NODES = 2_000_000, 100_000
 @functools.lru_cache(maxsize=256)
 def _packages(roots: str, package: str) -> list[Path]:
     """Return the folders of a package's name that are, or are below, one of the folders in a path of ROS."""
-    found = []
+    folders = []
     for root in (Path(root) for root in roots.split(":") if root):
-        found += [root] if root.name == package else [root / package]
-        found += sorted(place for place in root.rglob("*") if place.name == package and place.is_dir())
-    return found
+        folders += [root] if root.name == package else [root / package]
+        folders += sorted(place for place in root.rglob("*") if place.name == package and place.is_dir())
+    return folders
 
 
 @functools.lru_cache(maxsize=256)

@@ -26,10 +26,10 @@ def opposite_indices(names: Sequence[str]) -> list[int]:
     ValueError
         If a name has none opposite to it.
     """
-    found = []
+    opposite = []
     for name in names:
         twin = mirror_name(name)
         if twin not in names:
             raise ValueError(f"`{name}` has no `{twin}` opposite to it")
-        found.append(list(names).index(twin))
-    return found
+        opposite.append(list(names).index(twin))
+    return opposite

@@ -97,7 +97,7 @@ def reports_of(surfaces: Mapping[str, Surface], air: Air, solver: Solver, end: i
         "writeInterval": solver.sampling,
         "log": "false",
     }
-    found: dict[str, Entry] = {
+    reports: dict[str, Entry] = {
         name: {
             "type": "forces",
             "libs": ["forces"],
@@ -110,7 +110,7 @@ def reports_of(surfaces: Mapping[str, Surface], air: Air, solver: Solver, end: i
         for name, surface in surfaces.items()
     }
     # Each is read at the face of its link that is nearest to a point before it.
-    found |= {
+    reports |= {
         f"{name}{TAPS}": {
             "type": "patchProbes",
             "libs": ["sampling"],
@@ -123,7 +123,7 @@ def reports_of(surfaces: Mapping[str, Surface], air: Air, solver: Solver, end: i
         if surface.taps
     }
     at_end = {"executeControl": "onEnd", "writeControl": "onEnd"}
-    return found | {"yPlus": {"type": "yPlus", "libs": ["fieldFunctionObjects"], **at_end}}
+    return reports | {"yPlus": {"type": "yPlus", "libs": ["fieldFunctionObjects"], **at_end}}
 
 
 def _fields(air: Air, wind_b: Floats) -> dict[str, Entry]:
@@ -198,13 +198,13 @@ def _write(folder: Path, path: str, entries: Mapping[str, Entry], kind: str = "d
 
 
 def _lines(entries: Mapping[str, Entry]) -> list[str]:
-    found = []
+    lines = []
     for key, value in entries.items():
         if isinstance(value, Mapping):
-            found += [key, "{", *_lines(value), "}"]
+            lines += [key, "{", *_lines(value), "}"]
         else:
-            found.append(f"{key} {_value(value)};")
-    return found
+            lines.append(f"{key} {_value(value)};")
+    return lines
 
 
 def _value(value: Entry) -> str:

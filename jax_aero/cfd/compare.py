@@ -68,8 +68,8 @@ def compute(name: str, config: CompareConfig) -> Findings:
         summary |= beside_table | verdicts(own)
         for posture in here.postures:
             own = here.posture == posture
-            found = errors(robot, here.force_area_b[own], there.take(own))
-            summary |= {f"{posture} ({own.sum()}): {key}": value for key, value in found.items()}
+            of_posture = errors(robot, here.force_area_b[own], there.take(own))
+            summary |= {f"{posture} ({own.sum()}): {key}": value for key, value in of_posture.items()}
         off = np.sqrt(np.mean(np.sum((here.force_area_b - there.force_area_b) ** 2, axis=2), axis=0))
         names = [f"{OPEN}, beside the table: {link}, rms [m2]" for link in LINKS]
         summary |= dict(zip(names, off.tolist(), strict=True))
@@ -97,8 +97,8 @@ def symmetrise(data: Dataset) -> Dataset:
     def mean(values: Floats) -> Floats:
         total = np.zeros((len(count), *values.shape[1:]))
         np.add.at(total, both.group, values)
-        found: Floats = (total / count[:, None, None])[both.group[: len(data)]]
-        return found
+        means: Floats = (total / count[:, None, None])[both.group[: len(data)]]
+        return means
 
     couples = None if both.couple_volume_b is None else mean(both.couple_volume_b)
     return replace(data, force_area_b=mean(both.force_area_b), couple_volume_b=couples)
@@ -111,8 +111,8 @@ def asymmetry(robot: RobotModel, data: Dataset) -> dict[str, float]:
     is_pair = mirrored < direct
     if not is_pair.any():
         return {}
-    found = errors(robot, data.force_area_b[direct[is_pair]], both.take(count + mirrored[is_pair]))
-    named = {f"mirror images: {key}": value for key, value in found.items()}
+    differences = errors(robot, data.force_area_b[direct[is_pair]], both.take(count + mirrored[is_pair]))
+    named = {f"mirror images: {key}": value for key, value in differences.items()}
     return {"mirror images: pairs": int(is_pair.sum()), **named}
 
 
@@ -163,8 +163,8 @@ def models_at(robot: RobotModel, data: Dataset) -> dict[str, Floats]:
             "speed": ("point", data.speed),
         }
     )
-    found = model_areas(robot, points)
-    return {name: found[name] for name in SHOWN}
+    areas = model_areas(robot, points)
+    return {name: areas[name] for name in SHOWN}
 
 
 def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:

@@ -70,11 +70,11 @@ def _identity(design: Design) -> Identity:
 
 def collect(design: Design, folder: Path) -> str:
     """Write the result from the cases that are there; return a message."""
-    found, identity = read_cases(design, folder), _identity(design)
+    results, identity = read_cases(design, folder), _identity(design)
     accepted = accepted_cases(design, folder)
     dataset = to_dataset(design, accepted)
-    refused = {case.name: result.reason for case, result in found.items() if result.reason}
-    missing = sum(1 for _ in design) - len(found)
+    refused = {case.name: result.reason for case, result in results.items() if result.reason}
+    missing = sum(1 for _ in design) - len(results)
     summary = {
         "accepted": len(accepted),
         "refused": len(refused),
@@ -97,7 +97,7 @@ def collect(design: Design, folder: Path) -> str:
 
     def write(draft: Path) -> None:
         save(dataset, draft / "dataset.nc")
-        write_json(draft / CASES, {case.name: plain_values.to_builtins(result) for case, result in found.items()})
+        write_json(draft / CASES, {case.name: plain_values.to_builtins(result) for case, result in results.items()})
 
     with lock_work(folder):
         record.write_result(folder, document, write, replace=True)
@@ -117,8 +117,8 @@ def read_cases(design: Design, folder: Path) -> dict[Case, Result]:
         whole = folder / CASES
         older = {path.stem: read_json(path) for path in (folder / "cases").glob("*.json")}
         stored = read_json(whole) if whole.is_file() else older
-    found = {case: stored.get(case.name) or work.read_json(case.name) for case in design}
-    return {case: tables.convert(result, Result, case.name) for case, result in found.items() if result}
+    known = {case: stored.get(case.name) or work.read_json(case.name) for case in design}
+    return {case: tables.convert(result, Result, case.name) for case, result in known.items() if result}
 
 
 def accepted_cases(design: Design, folder: Path) -> dict[Case, Result]:

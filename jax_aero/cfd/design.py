@@ -206,9 +206,9 @@ class Design:
         settings["solver"].pop("ranks")
         text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text
         text += json.dumps(self.taps) if self.taps else ""
-        found = hashlib.sha256(text.encode() + (self.spec.joints or POSTURES).read_bytes() + DICTIONARIES.read_bytes())
+        hashed = hashlib.sha256(text.encode() + (self.spec.joints or POSTURES).read_bytes() + DICTIONARIES.read_bytes())
         if self.meshes_of:
             for shape in look_of(self.robot, self.meshes_of).shapes:
                 for part in shape.mesh or ():
-                    found.update(part.tobytes())
-        return found.hexdigest()
+                    hashed.update(part.tobytes())
+        return hashed.hexdigest()

@@ -111,29 +111,29 @@ def streamlines(cells: pyvista.UnstructuredGrid, wall: pyvista.PolyData) -> pyvi
     outwards = wall.compute_normals(consistent_normals=False, flip_normals=True).point_data["Normals"]
     seeds = pyvista.PolyData((wall.points + BESIDE * outwards)[::EVERY])
     # With VTK's default, the nearest points, velocity would be interpolated inside the bodies too.
-    found: pyvista.PolyData = cells.streamlines_from_source(
+    lines: pyvista.PolyData = cells.streamlines_from_source(
         seeds, vectors="U", max_length=LENGTH, interpolator_type="cell"
     )
-    return found
+    return lines
 
 
 def to_dataset(wall: pyvista.PolyData, plane: pyvista.PolyData, lines: pyvista.PolyData) -> xr.Dataset:
     """Return the points of triangles and lines with the `FIELDS` drawn there; base axes."""
-    found: dict[str, Any] = {}
+    variables: dict[str, Any] = {}
     for name, part, fields in (("wall", wall, ["pressure"]), ("plane", plane, [*FIELDS]), ("line", lines, ["speed"])):
         point, single = f"{name}_point", "f4"  # sufficient for pictures
-        found[f"{name}_position"] = (point, "xyz"), part.points.astype(single), {"units": "m"}
+        variables[f"{name}_position"] = (point, "xyz"), part.points.astype(single), {"units": "m"}
         for field in fields:
             about = {"units": "1", "long_name": FIELDS[field]}
-            found[f"{name}_{field}"] = point, part.point_data[field].astype(single), about
+            variables[f"{name}_{field}"] = point, part.point_data[field].astype(single), about
     for name, part in (("wall", wall), ("plane", plane)):
         about = {"long_name": "points at the corners"}
-        found[f"{name}_triangle"] = (f"{name}_face", "corner"), part.regular_faces.astype("i4"), about
+        variables[f"{name}_triangle"] = (f"{name}_face", "corner"), part.regular_faces.astype("i4"), about
     order = {"long_name": "points of all streamlines, one after the other"}
     offset = {"long_name": "of every streamline in them, and the end of the last"}
-    found["line_order"] = "order", lines.line_connectivity.astype("i4"), order
-    found["line_offset"] = "offset", lines.line_offsets.astype("i4"), offset
-    return xr.Dataset(found, {"xyz": ["x", "y", "z"]})
+    variables["line_order"] = "order", lines.line_connectivity.astype("i4"), order
+    variables["line_offset"] = "offset", lines.line_offsets.astype("i4"), offset
+    return xr.Dataset(variables, {"xyz": ["x", "y", "z"]})
 
 
 STUDY = Study("cfd_flow", __doc__, FlowConfig, compute, ("flight30",), backend="openfoam")

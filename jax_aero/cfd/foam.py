@@ -39,11 +39,11 @@ def environment() -> dict[str, str]:
     for program in PROGRAMS:
         if shutil.which(program) is None:
             raise Refused(MISSING.format(program))
-    found = dict(os.environ)
-    if "WM_PROJECT_DIR" not in found and DEBIAN.is_dir():
-        found["WM_PROJECT_DIR"] = str(DEBIAN)
+    variables = dict(os.environ)
+    if "WM_PROJECT_DIR" not in variables and DEBIAN.is_dir():
+        variables["WM_PROJECT_DIR"] = str(DEBIAN)
     # Without these, Open MPI refuses to run as root in a container.
-    return found | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "FOAM_SIGFPE": "false"}
+    return variables | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "FOAM_SIGFPE": "false"}
 
 
 def run(command: list[str], folder: Path, ranks: int = 1) -> str:
@@ -128,14 +128,14 @@ class History(NamedTuple):
 
 def read_histories(folder: Path, links: Mapping[str, object]) -> dict[str, History]:
     """Read the forces on every link, over all restarts of the solver."""
-    found = {}
+    histories = {}
     for name in links:
         starts = sorted((folder / "postProcessing" / name).iterdir(), key=lambda path: float(path.name))
         force = np.concatenate([_numbers(start / "force.dat") for start in starts])
         moment = np.concatenate([_numbers(start / "moment.dat") for start in starts])
         # Columns: time, then total, pressure part and viscous part.
-        found[name] = History(force[:, 0], force[:, 4:7], force[:, 7:10], moment[:, 1:4])
-    return found
+        histories[name] = History(force[:, 0], force[:, 4:7], force[:, 7:10], moment[:, 1:4])
+    return histories
 
 
 def _numbers(path: Path) -> Floats:
@@ -154,8 +154,8 @@ def read_y_plus(folder: Path) -> tuple[float, float]:
 
 def read_taps(folder: Path, link: str) -> Floats:
     """Return the mean kinematic pressures (T,) [m²/s²] of a link's taps over the last window of the solver."""
-    found: Floats = _numbers(_last(folder / "postProcessing" / f"{link}{TAPS}") / "p")[:, 1:].mean(axis=0)
-    return found
+    pressures: Floats = _numbers(_last(folder / "postProcessing" / f"{link}{TAPS}") / "p")[:, 1:].mean(axis=0)
+    return pressures
 
 
 def _last(report: Path) -> Path:
@@ -165,8 +165,8 @@ def _last(report: Path) -> Path:
 
 def last_residual(solver: str, field: str) -> float:
     """Return the initial residual of a field in the last printed iteration."""
-    found = re.findall(rf"Solving for {field}, Initial residual = ([^\s,]+)", solver)
-    return float(found[-1]) if found else float("nan")
+    residuals = re.findall(rf"Solving for {field}, Initial residual = ([^\s,]+)", solver)
+    return float(residuals[-1]) if residuals else float("nan")
 
 
 def _find_text(pattern: str, text: str) -> str | None:

@@ -120,7 +120,7 @@ def robot_surfaces(
         parts[_link_of(shape.name, shape.body, links, look, robot)].append(
             transform_triangles(triangles, poses[shape.body] @ shape.body_from_shape)
         )
-    if missing := [name for name, found in parts.items() if not found]:
+    if missing := [name for name, surfaces in parts.items() if not surfaces]:
         raise Refused(f"no shape of the robot belongs to its aerodynamic link {', '.join(missing)}")
     tapped: dict[str, dict[str, Tap]] = {name: {} for name in links}
     known = robot.links()

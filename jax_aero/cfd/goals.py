@@ -15,9 +15,9 @@ GOALS = {
 
 def verdicts(errors: Mapping[str, float]) -> dict[str, str]:
     """Return whether every error with a goal meets it; NaN does not."""
-    found = {}
+    judged = {}
     for name, error in errors.items():
         if (goal := GOALS.get(name.rpartition(": ")[2])) is not None:
             ratio = abs(error) / goal
-            found[f"{name}, goal of {goal:g}"] = "met" if ratio <= 1.0 else f"missed, {ratio:.2g} times that"
-    return found
+            judged[f"{name}, goal of {goal:g}"] = "met" if ratio <= 1.0 else f"missed, {ratio:.2g} times that"
+    return judged

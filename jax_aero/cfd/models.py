@@ -35,11 +35,11 @@ MODEL_FILES = (ROBOT, *(AERO / f"{name}.toml" for name in MODELS.values()))
 def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
     """Return the force areas of the links (N, 13, 3) [m²], base axes, by model."""
     joints, wind = data["joint_position"].values, wind_direction(data["pitch"].values, data["yaw"].values)
-    found = {}
+    areas = {}
     for name, file in MODELS.items():
         table = rust.load_aero(file)
-        found[name] = evaluate_areas(robot, table, joints, wind * data["speed"].values[:, None])
-    return found
+        areas[name] = evaluate_areas(robot, table, joints, wind * data["speed"].values[:, None])
+    return areas
 
 
 def evaluate_areas(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: Floats) -> Floats:

@@ -148,8 +148,8 @@ def reduce(histories: Mapping[str, foam.History], quality: Mapping[str, float], 
     iteration = next(iter(histories.values())).iteration
     late = iteration > iteration[-1] - settings.solver.window
     size, drift, oscillation = steadiness(total[late])
-    found = {**quality, "drift": drift, "oscillation": oscillation}
-    found["pressure share of the force"] = _pressure_share(histories, late)
+    figures = {**quality, "drift": drift, "oscillation": oscillation}
+    figures["pressure share of the force"] = _pressure_share(histories, late)
     accept = settings.accept
     if not math.isfinite(size) or not math.isfinite(drift):
         return Result(reason="the solver diverged: the force is not finite")
@@ -162,7 +162,7 @@ def reduce(histories: Mapping[str, foam.History], quality: Mapping[str, float], 
         reason=reason,
         force_area_b={name: _mean(history.force[late] / pressure) for name, history in histories.items()},
         couple_volume_b={name: _mean(history.couple[late] / pressure) for name, history in histories.items()},
-        quality=found,
+        quality=figures,
     )
 
 

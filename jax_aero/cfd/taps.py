@@ -70,8 +70,8 @@ main = STUDY.main
 
 def newton(cos: Floats) -> Floats:
     """Return the pressure coefficients of Newton's formula, with a constant base pressure."""
-    found: Floats = 1.4 * np.maximum(cos, 0.0) ** 2 - 0.4
-    return found
+    coefficients: Floats = 1.4 * np.maximum(cos, 0.0) ** 2 - 0.4
+    return coefficients
 
 
 def compare_taps(design: Design, accepted: Mapping[Case, Result], points: xr.Dataset) -> xr.Dataset:
@@ -121,12 +121,12 @@ def compare_taps(design: Design, accepted: Mapping[Case, Result], points: xr.Dat
 def summary(data: xr.Dataset) -> dict[str, float | str]:
     """Return correlation and errors of the flow and of Newton's formula, by group of postures, link and side."""
     held = data["is_held_out"].values == 1
-    found: dict[str, float | str] = {}
+    figures: dict[str, float | str] = {}
     for group, rows in (("", ~held), ("held-out postures, ", held)):
         if not rows.any():
             continue
         part = data.isel(case=rows)
-        found[f"{group}cases"] = int(rows.sum())
+        figures[f"{group}cases"] = int(rows.sum())
         known, cos = np.isfinite(part["cp_tunnel"].values), part["cos"].values
         places = {"all": known, "front": cos > SIDE, "sides": np.abs(cos) <= SIDE, "back": cos < -SIDE}
         links = data["link"].values
@@ -136,20 +136,20 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
             if not (chosen & known).any():
                 continue
             own = errors(part, chosen & known)
-            found |= {f"{group}{place}: {key}": value for key, value in own.items()}
+            figures |= {f"{group}{place}: {key}": value for key, value in own.items()}
             worse += [place] if own["flow, rms"] >= own["Newton, rms"] else []
-        found[f"{group}flow no better than Newton's formula, by rms"] = ", ".join(worse) or "nowhere"
-    return found
+        figures[f"{group}flow no better than Newton's formula, by rms"] = ", ".join(worse) or "nowhere"
+    return figures
 
 
 def errors(data: xr.Dataset, chosen: Floats) -> dict[str, float]:
     """Return number of pairs, correlation r, mean and rms error of the chosen (case, tap)."""
     tunnel = data["cp_tunnel"].values[chosen]
-    found: dict[str, float] = {"pairs": len(tunnel)}
+    figures: dict[str, float] = {"pairs": len(tunnel)}
     for model, key in MODELS.items():
         values = data[key].values[chosen]
         if min(np.ptp(values), np.ptp(tunnel)) > 0.0:  # Newton's formula is constant on the back
-            found[f"{model}, r"] = float(np.corrcoef(values, tunnel)[0, 1])
-        found[f"{model}, rms"] = float(np.sqrt(np.mean((values - tunnel) ** 2)))
-        found[f"{model} less tunnel, mean"] = float(np.mean(values - tunnel))
-    return found
+            figures[f"{model}, r"] = float(np.corrcoef(values, tunnel)[0, 1])
+        figures[f"{model}, rms"] = float(np.sqrt(np.mean((values - tunnel) ** 2)))
+        figures[f"{model} less tunnel, mean"] = float(np.mean(values - tunnel))
+    return figures

@@ -98,13 +98,13 @@ def pair_cases(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[Row]
     deviations = points["u_total"].values @ np.abs(axes).T  # for axes that differ by rotations of 90°
     for case, (near, twin) in enumerate(points_beside(ours, points, axes)):
         # A mirrored axial vector changes the sign of the other components.
-        found = [
+        parts = [
             (forces[near], moments[near], deviations[near]),
             (forces[twin] * MIRROR_AXES, -moments[twin] * MIRROR_AXES, deviations[twin]),
         ]
         if (near | twin).any():
             is_alone = bool(alone[near | twin].all())
-            yield Row(case, is_alone, *(np.concatenate(values) for values in zip(*found, strict=True)))
+            yield Row(case, is_alone, *(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def points_beside(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[tuple[Any, Any]]:
@@ -170,14 +170,14 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
     turned = NEWTON_METRES * np.linalg.norm(twist, axis=1)
     unsure = NEWTON_METRES * np.linalg.norm(data["moment_std_tunnel"].values, axis=1)
     alone = data["is_alone"].values == 1
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     for place, posture in enumerate(data["posture"].values):
         name = f"{posture} {data['pitch'].values[place]:.0f}/{data['yaw'].values[place]:.0f}"
         name += "" if alone[place] else ", support in the wind"
-        found |= {f"{name}: drag [m2]": drag[place], f"{name}: drag in the tunnel [m2]": measured[place]}
+        figures |= {f"{name}: drag [m2]": drag[place], f"{name}: drag in the tunnel [m2]": measured[place]}
         for end in ("least", "greatest"):
-            found[f"{name}: drag in the tunnel, {end} [m2]"] = float(data[f"drag_tunnel_{end}"].values[place])
-        found |= {
+            figures[f"{name}: drag in the tunnel, {end} [m2]"] = float(data[f"drag_tunnel_{end}"].values[place])
+        figures |= {
             f"{name}: drag, relative error": drag[place] / measured[place] - 1.0,
             f"{name}: side less that in the tunnel [m2]": across[place, 1],
             f"{name}: lift less that in the tunnel [m2]": across[place, 2],
@@ -187,12 +187,12 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
         }
     for label, rows in (("robot alone", alone), ("support in the wind", ~alone)):
         if rows.any():
-            found[f"{label}: cases"] = int(rows.sum())
-            found[f"{label}: drag, relative error, rms"] = _rms(drag[rows] / measured[rows] - 1.0)
-            found[f"{label}: total force, rms [m2]"] = _rms(off[rows])
-            found[f"{label}: moment, rms [N m at 10 m/s]"] = _rms(turned[rows])
-    goals = verdicts({key: value for key, value in found.items() if key.startswith("robot alone")})
-    return {key: float(value) for key, value in found.items() if np.isfinite(value)} | goals
+            figures[f"{label}: cases"] = int(rows.sum())
+            figures[f"{label}: drag, relative error, rms"] = _rms(drag[rows] / measured[rows] - 1.0)
+            figures[f"{label}: total force, rms [m2]"] = _rms(off[rows])
+            figures[f"{label}: moment, rms [N m at 10 m/s]"] = _rms(turned[rows])
+    goals = verdicts({key: value for key, value in figures.items() if key.startswith("robot alone")})
+    return {key: float(value) for key, value in figures.items() if np.isfinite(value)} | goals
 
 
 def _rms(values: Floats) -> float:

@@ -101,23 +101,23 @@ def compute(name: str, config: VerifyConfig) -> Findings:
     longer = msgspec.structs.replace(solver, iterations=2 * config.iterations)
     plans = {f"cells of {1e3 * mesh.finest:.2f} mm": (mesh, solver) for mesh in meshes}
     plans |= {"coarsest, twice the iterations": (coarsest, longer), "coarsest, larger cube": (wider, solver)}
-    found: dict[str, Result] = {}
+    results: dict[str, Result] = {}
     for label, (mesh, chosen) in plans.items():
         with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
             settings = Settings(mesh=mesh, solver=chosen)
-            (found[label],) = simulate(subject.surfaces, [subject.wind_b], settings, Path(scratch))
-        print(f"{name}, {label}: {found[label].reason or coefficient(found[label], subject)}", flush=True)
-    values = np.array([coefficient(result, subject) for result in found.values()])
+            (results[label],) = simulate(subject.surfaces, [subject.wind_b], settings, Path(scratch))
+        print(f"{name}, {label}: {results[label].reason or coefficient(results[label], subject)}", flush=True)
+    values = np.array([coefficient(result, subject) for result in results.values()])
     summary: dict[str, Any] = {label: float(value) for label, value in zip(plans, values, strict=True)}
-    areas = np.array([link_areas(result, subject) for result in found.values()])
+    areas = np.array([link_areas(result, subject) for result in results.values()])
     off = areas - areas[2]
     for label, links in zip(plans, off, strict=True):
         summary[f"{label}: total force from that of the finest mesh [m2]"] = float(np.linalg.norm(links.sum(axis=0)))
         summary[f"{label}: links from those of the finest mesh, mean square [m4]"] = float(np.mean(links**2))
-    summary |= {f"{label}: cells": result.quality.get("cells") for label, result in found.items()}
-    summary |= {f"{label}: y+ mean": result.quality.get("y+ mean") for label, result in found.items()}
-    summary |= {f"{label}: refused": result.reason for label, result in found.items() if result.reason}
-    is_refused = any(result.reason for result in [*found.values()][:3])
+    summary |= {f"{label}: cells": result.quality.get("cells") for label, result in results.items()}
+    summary |= {f"{label}: y+ mean": result.quality.get("y+ mean") for label, result in results.items()}
+    summary |= {f"{label}: refused": result.reason for label, result in results.items() if result.reason}
+    is_refused = any(result.reason for result in [*results.values()][:3])
     none = {"observed order": "none: a mesh has no steady solution"}
     summary |= none if is_refused else extrapolate(values[:3], np.array([mesh.finest for mesh in meshes]))
     summary["twice the iterations change it by"] = float(values[3] / values[0] - 1.0)

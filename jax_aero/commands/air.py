@@ -81,13 +81,13 @@ def _compute(given: argparse.Namespace) -> None:
     tables = [(name, points(name, given.posture, alphas, betas)) for name in given.beside]
     with jax.enable_x64(True):
         models = {name: air.settings(name) for name in given.model}
-        found = {
+        by_model = {
             name: loads(robot, aero_model(model, robot), joints, alphas, betas, given.wind)
             for name, model in models.items()
         }
     # Without aerodynamics there is no density, and every area is zero.
     pressures = [0.5 * getattr(model, "air_density", 1.0) * given.wind**2 for model in models.values()]
-    rows = list(_rows(robot, found, alphas, betas, pressures))
+    rows = list(_rows(robot, by_model, alphas, betas, pressures))
     print(_listing(rows))
     stems = "_".join(Path(name).stem for name in given.model)
     wind = f"alpha={given.alpha}--beta={given.beta}--wind={given.wind:g}".replace(":", "_")
@@ -146,8 +146,8 @@ def angles(option: str, text: str) -> Floats:
     count = (last - first) / step + 1e-9
     if not count < MAX_ANGLES:
         raise ValueError(f"{option} is {text}; expected at most {MAX_ANGLES} angles")
-    found: Floats = first + step * np.arange(int(count) + 1, dtype=np.float64)
-    return found
+    values: Floats = first + step * np.arange(int(count) + 1, dtype=np.float64)
+    return values
 
 
 def posture(robot: RobotModel, name: str) -> Floats:
@@ -186,7 +186,7 @@ def points(table: str, name: str, alphas: Floats, betas: Floats) -> list[dict[st
     Runs without `alpha_deg` are of the upright robot, runs without `beta_deg` without sideslip.
     """
     document = read(places.CONFIGS / "tables" / f"{table}.toml")
-    found = []
+    rows = []
     for key, runs in document.items():
         for run in runs if isinstance(runs, list) and isinstance(runs[0], Mapping) else []:
             if run.get("posture", key) != name or "cda" not in run:
@@ -200,17 +200,17 @@ def points(table: str, name: str, alphas: Floats, betas: Floats) -> list[dict[st
             if here.any():
                 areas = {area: np.asarray(run[area], float)[here] for area in ("cda", "cla", "csa") if area in run}
                 label = " ".join(str(run[part]) for part in ("test", "mesh", "turbulence") if part in run)
-                found.append({"label": f"{table} {label}", "angle": varying[here], **areas})
-    if not found:
+                rows.append({"label": f"{table} {label}", "angle": varying[here], **areas})
+    if not rows:
         raise ValueError(f"{table} holds nothing of posture `{name}` at these angles")
-    return found
+    return rows
 
 
 def _rows(
-    robot: RobotModel, found: Mapping[str, Loads], alphas: Floats, betas: Floats, pressures: Sequence[float]
+    robot: RobotModel, loads: Mapping[str, Loads], alphas: Floats, betas: Floats, pressures: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
     grid = np.broadcast_arrays(alphas, betas)
-    for (model, load), pressure in zip(found.items(), pressures, strict=True):
+    for (model, load), pressure in zip(loads.items(), pressures, strict=True):
         links = [ROBOT, *robot.aero_links.names]
         forces = np.concatenate([load.forces.sum(axis=1, keepdims=True), load.forces], axis=1)
         moments = np.concatenate([load.moments.sum(axis=1, keepdims=True), load.moments], axis=1)

@@ -111,8 +111,8 @@ def fly(tasks: Spec, workers: int | None = None, out: Path | None = None) -> Kep
             raise Refused(
                 f"{tasks.name}: the first flight could not be flown, so there is no score: {reason}"
             ) from None
-    found = record.read_manifest((out or run.RESULTS) / tasks.name)
-    is_other = found is not None and bool(run.identity_of(design).difference(found))
+    existing = record.read_manifest((out or run.RESULTS) / tasks.name)
+    is_other = existing is not None and bool(run.identity_of(design).difference(existing))
     folder = run.run(design, workers=workers, out=out, overwrite=is_other)
     if errors := read_table(folder / "table.parquet")["error"].drop_null().to_pylist():
         raise Refused(f"{tasks.name}: {len(errors)} flights could not be flown, so there is no score: {errors[0]}")
@@ -129,7 +129,7 @@ def beside(name: str, flown: Mapping[str, Sequence[Kept]], timed: Mapping[str, A
         name=name,
         title="wind-humanoid-1",
         about="",
-        axes=[structs.replace(axis, levels=found) for axis, found in zip(last.axes, levels, strict=True)],
+        axes=[structs.replace(axis, levels=shown) for axis, shown in zip(last.axes, levels, strict=True)],
         rows=[row for one in all_of for row in one.rows],
         outcomes={},
         firsts=[],
@@ -143,16 +143,16 @@ def times(levels: Mapping[str, Level | None]) -> dict[str, dict[str, float]]:
     robot, mine = next((robot, level) for robot, level in levels.items() if level is not None)
     shipped = spec.load(TASKS[robot])
     world = next(cell for cell, task in enumerate(shipped.axis[1].levels) if not task.set)
-    found = {}
+    by_robot = {}
     for level in (*(level for level in shipped.axis[0].levels if "own_controller" not in level.set), mine):
         (alone,) = specs(robot, level)
         config = rust.set_keys(Design(alone).cell_config(world), {"simulator.duration": TIMED})
         seconds = 1e3 * np.array(_time(config))
-        found[str(level.label)] = {
+        by_robot[str(level.label)] = {
             f"time of a tick, {text} [ms]": float(f"{np.quantile(seconds, share):.3g}")
             for text, share in (("median", 0.5), ("99 %", 0.99))
         }
-    return found
+    return by_robot
 
 
 def _time(config: rust.Config) -> list[float]:

@@ -79,8 +79,8 @@ def _check(name: str, given: argparse.Namespace) -> str:
         kind, chosen = FIGURES[name].kind, FIGURES[name].folders(given.results, given.runs or ())
     else:
         kind, chosen = "sweeps", [given.sweeps / name]
-    found = {folder.name: outdated.result(kind, folder) for folder in chosen if folder.is_dir()}
-    stale = "; ".join(f"{folder} ({differs})" for folder, differs in found.items() if differs)
+    differences = {folder.name: outdated.result(kind, folder) for folder in chosen if folder.is_dir()}
+    stale = "; ".join(f"{folder} ({differs})" for folder, differs in differences.items() if differs)
     if stale and not given.stale:
         raise runs.NotDrawn(
             f"made of another configuration or numerics than today's: {stale}; make it again, or --stale"

@@ -166,15 +166,15 @@ def _write_robot(
     source: Path,
 ) -> None:
     """Write the robot that the shown numbers make, an experiment with it, and what is left unknown."""
-    robot, found = known.robot, known.found
-    numbers = numbers_of(robot, np.where(shown, found.value, 0.0))
-    is_found = numbers_of(robot, (shown & (found.share >= FOUND)).astype(float))
+    robot, estimate = known.robot, known.found
+    numbers = numbers_of(robot, np.where(shown, estimate.value, 0.0))
+    is_found = numbers_of(robot, (shown & (estimate.share >= FOUND)).astype(float))
     notes = [
         f"Found by jax-aero identify in logs with sha256 {digest}.",
         *([] if known.verdict.is_explained else ["The model does not explain the log."]),
         *(f"{row['name']}: {describe(row)}" for row in rows),
     ]
-    result.write_perturbation(draft, numbers_of(robot, found.deviation))
+    result.write_perturbation(draft, numbers_of(robot, estimate.deviation))
     result.write_experiment(draft, config, robot, numbers, is_found)
     result.write_robot(draft, source, known.model, numbers, notes)
 
@@ -218,14 +218,14 @@ def _print_reasons(
         print(f"{row.name} is {row.ratio:.1f} times what sensors explain; expected at most {row.bound:.1f}")
     for conflict in known.verdict.conflicts:
         print(f"{conflict} is more than the file's stated error allows")
-    found = mistake(known, config, source, signals, prior, mass)
-    print("no usual mistake explains it" if found is None else f"it would be explained by {found}")
+    explanation = mistake(known, config, source, signals, prior, mass)
+    print("no usual mistake explains it" if explanation is None else f"it would be explained by {explanation}")
 
 
-def _places(robot: RobotModel, found: Found, words: Sequence[str]) -> NDArray[np.bool_]:
+def _places(robot: RobotModel, estimate: Found, words: Sequence[str]) -> NDArray[np.bool_]:
     """Return which numbers these words of `--only` show, of those that the data may determine."""
     names = {name for word in words for name in GROUPS[word]}
-    return np.array([label.split(".")[0] in names for label, *_ in labels(robot)]) & (found.prior > 0.0)
+    return np.array([label.split(".")[0] in names for label, *_ in labels(robot)]) & (estimate.prior > 0.0)
 
 
 def tested(judged: Verdict) -> list[tuple[str, ...]]:

@@ -119,7 +119,7 @@ def _replay(given: argparse.Namespace) -> int:
 
 def compare(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> list[Difference]:
     """Return the difference of every signal that both hold and that is no input, by their share of its range."""
-    found = []
+    differences = []
     for name, after in computed.items():
         if rust.is_input(name) or name not in recorded:
             continue
@@ -132,8 +132,8 @@ def compare(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> lis
         tick = int(worst.argmax())
         greatest = np.nan if np.isinf(worst[tick]) else float(worst[tick])
         range_ = np.abs(before[np.isfinite(before)]).max(initial=0.0)
-        found.append(Difference(name, greatest, float(computed["time"][tick]), float(range_)))
-    return sorted(found, key=share, reverse=True)
+        differences.append(Difference(name, greatest, float(computed["time"][tick]), float(range_)))
+    return sorted(differences, key=share, reverse=True)
 
 
 def share(difference: Difference) -> float:

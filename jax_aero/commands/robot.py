@@ -174,12 +174,12 @@ def import_robot(
 def posture_doubts(joints: Sequence[Joint], posture_deg: Mapping[str, float]) -> list[str]:
     """Return warnings of positions outside the limits of their joints; refuse those of joints that do not move."""
     limits = {joint.name: skeleton.shown_limits(joint) for joint in joints}
-    found = []
+    warnings = []
     for joint, position in posture_deg.items():
         if joint not in limits:
             raise Refused(f"--posture: `{joint}` is no joint that moves{places.did_you_mean(joint, limits)}")
         lower, upper, unit = limits[joint]
         if not lower <= position <= upper:
             reason = f"outside its limits, {lower:g} to {upper:g} {unit}: the trim starts at the nearest"
-            found.append(f"--posture {joint}={position:g} is {reason}")
-    return found
+            warnings.append(f"--posture {joint}={position:g} is {reason}")
+    return warnings

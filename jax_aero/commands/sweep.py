@@ -52,8 +52,8 @@ def main(arguments: Sequence[str]) -> int:
 def _rows(folder: Path, design: Design, axis: str | None) -> Rows:
     """Return the rows of the printed table: a cell each, or the differences between levels of an axis."""
     labels = {one.name: f"{one.label or one.name}{one.unit and f' [{one.unit}]'}" for one in design.spec.axes}
-    found = read_table(folder / ("table.parquet" if axis else "cells.parquet")).to_pandas(use_threads=False)
-    return listing.of_pairs(differences(found, list(labels), axis), labels) if axis else listing.of_cells(found, labels)
+    table = read_table(folder / ("table.parquet" if axis else "cells.parquet")).to_pandas(use_threads=False)
+    return listing.of_pairs(differences(table, list(labels), axis), labels) if axis else listing.of_cells(table, labels)
 
 
 def _parser() -> Parser:

@@ -67,12 +67,12 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     asked = {"training": document, "error": ERROR_UNIT, "data": dataset.sha256}
     identity = Identity.of(asked, [training.robot], [PYTHON])
     with lock_work(folder):
-        found = record.find_existing(folder, identity, documents.Training, overwrite=given.overwrite)
-        if found is None:
-            found = _train_parts(given, training, document, identity, dataset, folder)
+        trained = record.find_existing(folder, identity, documents.Training, overwrite=given.overwrite)
+        if trained is None:
+            trained = _train_parts(given, training, document, identity, dataset, folder)
     if given.write:
         copy_card(folder / f"{folder.name}.json", given.write)
-    summary = found["summary"]
+    summary = trained["summary"]
     print(f"{manifest.make_portable(folder)}: {summary['parameters']} parameters")
     return dict(summary["errors"])
 
@@ -185,17 +185,17 @@ def table(errors: dict[str, Any]) -> str:
     """Return the errors as a table that always shows both splits."""
     names = list(next(iter(errors.values()))["baselines"]) if errors else []
     splits: list[str] = [split for split in ("random", "grouped") if split in errors]
-    found = [errors[split] for split in splits]
+    by_split = [errors[split] for split in splits]
     rows = {
-        "network": [one["mse"] for one in found],
-        "  standard deviation over folds": [one["fold_std"] for one in found],
-        "  worst fold": [one["fold_max"] for one in found],
+        "network": [one["mse"] for one in by_split],
+        "  standard deviation over folds": [one["fold_std"] for one in by_split],
+        "  worst fold": [one["fold_max"] for one in by_split],
     }
     if errors.get("grouped", {}).get("elsewhere_mse") is not None:
-        rows["  postures on which nothing was chosen"] = [one.get("elsewhere_mse") for one in found]
-    rows["mean of all members"] = [one["ensemble_mse"] for one in found]
-    rows["network, rows it was trained on"] = [one["train_mse"] for one in found]
-    rows |= {name: [one["baselines"][name] for one in found] for name in names}
+        rows["  postures on which nothing was chosen"] = [one.get("elsewhere_mse") for one in by_split]
+    rows["mean of all members"] = [one["ensemble_mse"] for one in by_split]
+    rows["network, rows it was trained on"] = [one["train_mse"] for one in by_split]
+    rows |= {name: [one["baselines"][name] for one in by_split] for name in names}
     cells = {text: ["-" if value is None else f"{value:.3e}" for value in values] for text, values in rows.items()}
     cells = {"mean squared error of held-out rows [m^4]": splits, **cells}
     return "\n".join(text.ljust(44) + "".join(cell.rjust(12) for cell in row) for text, row in cells.items())

@@ -84,7 +84,7 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
         refuse(read_config(config))
     folder, facts = _subject(options, config)
     _check_replaceable(folder, facts, overwrite=options.overwrite)
-    robot, found, sides = options.robot if config is None else config["robot"], {}, list[Sides]()
+    robot, findings, sides = options.robot if config is None else config["robot"], {}, list[Sides]()
     with jax.enable_x64(True), watch_lines() as ran:
         rows = verify_robots(robot, options.states, options.dynamics, options.seed)
         if config is not None:
@@ -97,30 +97,30 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
                 flights = [flight.sections, *(of.sections for of in everything)]
                 sides += [section.sides for sections in flights for section in sections]
                 flown = Compared(flight.scenario, samples, flight.sections)
-                found = {
+                findings = {
                     "compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s",
                     "not reached": ["not examined"] if options.quick else unreached(flown, everything),
                 }
             else:
                 of_law, share = verify_law(config)
                 rows += of_law
-                found = {
+                findings = {
                     "compared": f"{share:.1%} of the ticks, the law alone",
                     "not reached": ["what no tick of this flight reaches, which is not examined"],
                 }
             if not options.all:  # programs that another flight has traced would seem not to be executed
-                found["not executed"] = unexecuted(ran, sides)
+                findings["not executed"] = unexecuted(ran, sides)
             lines |= ran
             all_sides.append(merged(sides))
             library, reason = options.library or find(), why_not(config)
             if library is not None and reason is None:
                 rows += verify_library(config, library)
-            found["C library"] = f"not compared: {reason}" if reason else str(library or f"not built: {BUILD}")
+            findings["C library"] = f"not compared: {reason}" if reason else str(library or f"not built: {BUILD}")
     print(table(rows))
-    written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts, **found})
+    written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts, **findings})
     bad = [row for row in rows if not row.agrees]
     but = f", not {', '.join(f'{row.group} {row.quantity}' for row in bad)}" if bad else ""
-    print("\n" + _lines({name: len(value) if name == "not executed" else value for name, value in found.items()}))
+    print("\n" + _lines({name: len(value) if name == "not executed" else value for name, value in findings.items()}))
     print(f"{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
     return 1 if bad else 0
 

@@ -55,8 +55,8 @@ def setpoints_at(times: Float[Array, " k"], setpoints: Setpoint, now: Setpoint, 
             linear(every.angular_jerk, time),
         )
 
-    found: Setpoint = jax.vmap(one)(jnp.minimum(ahead, times[-1]))
-    return found
+    later: Setpoint = jax.vmap(one)(jnp.minimum(ahead, times[-1]))
+    return later
 
 
 def wind_change(wind: Float[Array, "k 4"], ahead: Float[Array, " r"]) -> Float[Array, "r 3"]:

@@ -252,8 +252,8 @@ def _search_batch(qp: BoxQp, search: _Search) -> _Search:
         ended: _Search = map_in_chunks(_search_one, (qp,), tried, jnp.argsort(~pending), jnp.sum(pending))
         return ended
 
-    found: _Search = lax.platform_dependent(qp, search, cpu=chunks, default=jax.vmap(_search_one))
-    return found
+    searched: _Search = lax.platform_dependent(qp, search, cpu=chunks, default=jax.vmap(_search_one))
+    return searched
 
 
 _active_set = with_batch_rule(_search_one, _search_batch)

@@ -78,8 +78,8 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
         "yawAngle",
         *(f"{part}-{name}" for part in (TOTAL, *SURFACES) for name in COMPONENTS),
     ]
-    found = rust.read_csv(text, source, {"config": "text", **dict.fromkeys(columns, "number")})
-    names, lines, values = found.texts["config"], found.lines, np.column_stack(list(found.numbers.values()))
+    table = rust.read_csv(text, source, {"config": "text", **dict.fromkeys(columns, "number")})
+    names, lines, values = table.texts["config"], table.lines, np.column_stack(list(table.numbers.values()))
     for row, line in zip(values, lines, strict=True):
         _check_angles(row, f"{source}, line {line}")
     if unknown := Counter(name for name in names if name not in postures):
@@ -136,7 +136,7 @@ def checks(dataset: Dataset) -> dict[str, float]:
     alone = np.all(np.abs(mirrored_joints(angles, dataset.joints) - angles) < 1e-6, axis=1)
     alone &= np.all(np.abs(wind * MIRROR_AXES - wind) < 1e-6, axis=1)
     tilt = mirrored_areas(areas[alone], dataset.links) - areas[alone]
-    found: dict[str, float] = {
+    figures: dict[str, float] = {
         "rows": len(dataset),
         "postures": len(np.unique(dataset.family)),
         "groups of equal posture and wind that occur more than once": int((sizes > 1).sum()),
@@ -145,12 +145,12 @@ def checks(dataset: Dataset) -> dict[str, float]:
         ),
     }
     if len(repeats):
-        found["difference within those groups, mean square [m4]"] = float(np.mean(repeats**2))
+        figures["difference within those groups, mean square [m4]"] = float(np.mean(repeats**2))
     if len(tilt):
-        found["rows that should be their own mirror image"] = int(alone.sum())
-        found["their distance from it, mean square [m4]"] = float(np.mean(tilt**2))
-        found["their distance from it, largest [m2]"] = float(np.abs(tilt).max())
-    return found
+        figures["rows that should be their own mirror image"] = int(alone.sum())
+        figures["their distance from it, mean square [m4]"] = float(np.mean(tilt**2))
+        figures["their distance from it, largest [m2]"] = float(np.abs(tilt).max())
+    return figures
 
 
 def _check_angles(row: Floats, place: str) -> None:

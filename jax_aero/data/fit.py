@@ -75,10 +75,10 @@ class FamilyFit:
 
 def families_of(robot: RobotModel) -> dict[str, tuple[str, ...]]:
     """Return the links that share coefficients, by family, from the robot's file."""
-    found: dict[str, tuple[str, ...]] = {}
+    families: dict[str, tuple[str, ...]] = {}
     for link in tables.read(Path(robot.source))["aero_links"]:
-        found[link["family"]] = (*found.get(link["family"], ()), link["name"])
-    return found
+        families[link["family"]] = (*families.get(link["family"], ()), link["name"])
+    return families
 
 
 def angles(axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]) -> Angles:
@@ -141,14 +141,14 @@ def lasso_supports(matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, "
     scaled, centred = others / others.std(axis=0), target - target.mean()
     largest = np.abs(scaled.T @ centred).max() / len(target)
     penalties, weights, *_ = lasso_path(scaled, centred, alphas=largest * np.geomspace(1.0, 1e-5, 200))
-    found: dict[tuple[int, ...], float] = {}
+    supports: dict[tuple[int, ...], float] = {}
     for penalty, column in zip(penalties, weights.T, strict=True):
         support = tuple(int(index) + 1 for index in np.flatnonzero(column))
-        found[0, *support] = float(penalty / largest)
+        supports[0, *support] = float(penalty / largest)
         if support:
-            found[support] = float(penalty / largest)
-    found.setdefault(tuple(range(matrix.shape[1])), 0.0)
-    return found
+            supports[support] = float(penalty / largest)
+    supports.setdefault(tuple(range(matrix.shape[1])), 0.0)
+    return supports
 
 
 def least_squares(matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " B"]) -> Float[np.ndarray, " k"]:
@@ -211,12 +211,12 @@ def held_out_areas(
     dataset: Dataset, axes: Float[np.ndarray, "B L 3"], families: Mapping[str, Sequence[str]]
 ) -> Float[np.ndarray, "B L 3"]:
     """Return the force areas [m²] of every row, base axes, by the fit to the other postures."""
-    found = np.empty_like(dataset.force_area_b)
+    areas = np.empty_like(dataset.force_area_b)
     for number in np.unique(dataset.family):
         out = dataset.family == number
         fits = fit(dataset.take(~out), axes[~out], families)
-        found[out] = predicted_areas(coefficients_of(fits, families, dataset.links), axes[out], dataset.wind_b[out])
-    return found
+        areas[out] = predicted_areas(coefficients_of(fits, families, dataset.links), axes[out], dataset.wind_b[out])
+    return areas
 
 
 def coefficients_of(

@@ -74,19 +74,19 @@ def read_bench(text: str, name: str) -> Bench:
     Refused
         For no known column, a cell that is no number, and times that do not ascend; the message names the line.
     """
-    found = rust.read_csv(text, name, {"time_s": "number", **dict.fromkeys((*COLUMNS, "clipped"), "reading")})
-    nothing = np.full(len(found.lines), np.nan)
-    time, *readings = (found.numbers.get(column, nothing) for column in ("time_s", *COLUMNS))
-    if not found.numbers.keys() & {*COLUMNS}:
+    table = rust.read_csv(text, name, {"time_s": "number", **dict.fromkeys((*COLUMNS, "clipped"), "reading")})
+    nothing = np.full(len(table.lines), np.nan)
+    time, *readings = (table.numbers.get(column, nothing) for column in ("time_s", *COLUMNS))
+    if not table.numbers.keys() & {*COLUMNS}:
         raise Refused(
-            f"{name} has the columns {', '.join(found.header)}; expected time_s and any of {', '.join(COLUMNS)}"
+            f"{name} has the columns {', '.join(table.header)}; expected time_s and any of {', '.join(COLUMNS)}"
         )
     if (is_late := np.diff(time) <= 0.0).any():
         row = 1 + int(is_late.argmax())
-        raise Refused(f"column time_s in line {found.lines[row]} of {name} is {time[row]}; expected ascending times")
+        raise Refused(f"column time_s in line {table.lines[row]} of {name} is {time[row]}; expected ascending times")
     if len(time) < 2:
         raise Refused(f"{name} has {len(time)} rows; expected 2 or more")
-    is_clipped = np.nan_to_num(found.numbers.get("clipped", nothing)) != 0.0
+    is_clipped = np.nan_to_num(table.numbers.get("clipped", nothing)) != 0.0
     throttle, wanted, speed, thrust = readings
     return Bench(time, throttle, wanted, speed, np.where(is_clipped, np.nan, thrust))
 

@@ -68,17 +68,17 @@ def from_clone(clone: Path) -> Iterator[tuple[str, xr.Dataset]]:
             parts.setdefault(known.robot, []).append(to_dataset(points, pressures[on], zero, ports, about, facts))
     if not parts:
         raise Refused(f"{clone} has no pressures (TID_*_PT*.prm, {MAP}) of a test that tunnel_tests.toml names")
-    for robot, found in sorted(parts.items()):
-        yield robot, xr.concat(found, "point", data_vars="minimal", combine_attrs="drop_conflicts")
+    for robot, sets in sorted(parts.items()):
+        yield robot, xr.concat(sets, "point", data_vars="minimal", combine_attrs="drop_conflicts")
 
 
 def read_map(text: str, source: str) -> dict[int, str]:
     """Return the tap of every port of the scanners."""
     table = rust.read_csv(text, source, {"Scanner ID": "number", "Sensor ID": "text"})
-    found = dict(zip(map(int, table.numbers["Scanner ID"]), table.texts["Sensor ID"], strict=True))
-    if not found:
+    taps = dict(zip(map(int, table.numbers["Scanner ID"]), table.texts["Sensor ID"], strict=True))
+    if not taps:
         raise ValueError(f"{source}: no map of ports; expected `Scanner ID;Sensor ID` and rows such as 101;I1")
-    return found
+    return taps
 
 
 def _means(path: Path | None, ports: Mapping[int, str]) -> list[float]:

@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def known_tests() -> dict[tuple[str, str], Test]:
     """Return the entries of the table of tests, by campaign and name."""
-    found = {}
+    by_name = {}
     for campaign in tables.read(TESTS)["campaign"]:
         marks = campaign.get("marks", {})
         points = campaign.get("point_marks", {})
@@ -71,7 +71,7 @@ def known_tests() -> dict[tuple[str, str], Test]:
                     for mark, tests in points.items():
                         for point in tests.get(name, ()):
                             against[point] = (*against.get(point, ()), mark)
-                    found[campaign["name"], name] = Test(
+                    by_name[campaign["name"], name] = Test(
                         campaign=campaign["name"],
                         kind=kind,
                         posture=posture,
@@ -80,19 +80,19 @@ def known_tests() -> dict[tuple[str, str], Test]:
                         point_marks=against,
                         tare_above_deg=limits.get(name),
                     )
-    return found
+    return by_name
 
 
 def folders(clone: Path) -> dict[str, Path]:
     """Return the folders of balance files in a clone, by campaign."""
-    found = {}
+    by_campaign = {}
     for campaign in tables.read(TESTS)["campaign"]:
         places = [clone / root / name / "data_GVPM" for root in ROOTS for name in campaign["folders"]]
         if present := [place for place in places if place.is_dir()]:
-            found[campaign["name"]] = present[0]
-    if not found:
+            by_campaign[campaign["name"]] = present[0]
+    if not by_campaign:
         raise Refused(f"{clone} has no {ROOTS[0]}/exp_*/data_GVPM; expected a clone of element_cfd-simulation")
-    return found
+    return by_campaign
 
 
 def files_by_test(folder: Path, suffix: str) -> dict[str, Path]:
@@ -127,12 +127,12 @@ def reduce_moments(points: Points, side: str = "below") -> xr.Dataset:
 
 def gravity_sweeps(clone: Path) -> dict[str, dict[str, tuple[Floats, Floats]]]:
     """Return the centre of gravity relative to the balance centre [m], balance axes, by campaign and sweep."""
-    found: dict[str, dict[str, tuple[Floats, Floats]]] = {}
+    centres: dict[str, dict[str, tuple[Floats, Floats]]] = {}
     for campaign, folder in folders(clone).items():
         for test, path in files_by_test(folder, ".tara").items():
             sweep = tunnel.read_sweep(read_bytes(path).decode("utf-8", "replace"), path.name)
-            found.setdefault(campaign, {})[test] = tunnel.centre_of_gravity(*sweep)
-    return found
+            centres.setdefault(campaign, {})[test] = tunnel.centre_of_gravity(*sweep)
+    return centres
 
 
 def sweeps_text(sweeps: Mapping[str, Mapping[str, tuple[Floats, Floats]]]) -> str:

@@ -34,18 +34,18 @@ def hashes(*names: str) -> dict[str, str]:
 
 def hovering_drag(tables: Table) -> dict[float, dict[int, float]]:
     """Return drag area by rounded speed [m/s] and sideslip [deg]; the mean where two tests overlap."""
-    found: dict[float, dict[int, list[float]]] = {}
+    drag: dict[float, dict[int, list[float]]] = {}
     for table in tables["hovering"]:
-        curve = found.setdefault(float(round(table["speed"])), {})
+        curve = drag.setdefault(float(round(table["speed"])), {})
         for beta, area in zip(table["beta_deg"], table["cda"], strict=True):
             curve.setdefault(beta, []).append(area)
-    return {speed: {b: float(np.mean(curve[b])) for b in sorted(curve)} for speed, curve in sorted(found.items())}
+    return {speed: {b: float(np.mean(curve[b])) for b in sorted(curve)} for speed, curve in sorted(drag.items())}
 
 
 def flight(tables: Table, posture: str) -> Table:
     """Return the record of a flight posture."""
-    found: Table = next(table for table in tables["flight"] if table["posture"] == posture)
-    return found
+    record: Table = next(table for table in tables["flight"] if table["posture"] == posture)
+    return record
 
 
 def run_of(runs: Sequence[Table], mesh_name: str, turbulence: str) -> Table:

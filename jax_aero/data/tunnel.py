@@ -107,19 +107,19 @@ def read_gvp(text: str, source: str) -> Floats:
     places, lines = _lines(text)
     if len(lines) < 3 or "=" not in lines[0] or not lines[1].startswith("ID(0)"):
         raise ValueError(f"{source}: no balance file; expected a line KEY=VALUE;…, one of columns ID(0),…, and rows")
-    found = np.full((len(lines) - 2, GVP_COLUMNS), np.nan)
-    for row, place, line in zip(found, places[2:], lines[2:], strict=True):
+    values = np.full((len(lines) - 2, GVP_COLUMNS), np.nan)
+    for row, place, line in zip(values, places[2:], lines[2:], strict=True):
         cells = line.split("\t")
         if len(cells) != GVP_COLUMNS:
             raise ValueError(f"{source}, line {place}: {len(cells)} columns; expected {GVP_COLUMNS}")
         row[list(GVP_USED)] = [number(cells[column], f"{source}, line {place}", str(column)) for column in GVP_USED]
-    return found
+    return values
 
 
 def _lines(text: str) -> tuple[list[int], list[str]]:
     """Return the number and text of every line that is not empty."""
-    found = [(place, line) for place, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    return [place for place, _ in found], [line for _, line in found]
+    kept = [(place, line) for place, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    return [place for place, _ in kept], [line for _, line in kept]
 
 
 def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
@@ -133,8 +133,8 @@ def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
         if len(cells) < 10:
             raise ValueError(f"{source}, line {place}: {len(cells)} columns; expected at least 10")
         rows.append([number(cells[column], f"{source}, line {place}", str(column)) for column in range(4, 10)])
-    found = np.array(rows)
-    return found[:, :3], found[:, 3:]
+    loads = np.array(rows)
+    return loads[:, :3], loads[:, 3:]
 
 
 def centre_of_gravity(force: Floats, moment: Floats) -> tuple[Floats, Floats]:
@@ -206,14 +206,14 @@ def join(parts: Sequence[Points]) -> Points:
     """Return the points of several files of one robot as one set."""
     if len({part.robot for part in parts}) != 1:
         raise ValueError(f"points of {sorted({part.robot for part in parts})}; expected one robot")
-    found: dict[str, Any] = {"robot": parts[0].robot}
+    joined: dict[str, Any] = {"robot": parts[0].robot}
     for name in Points.__dataclass_fields__:
         if name == "robot":
             continue
         values = [getattr(part, name) for part in parts]
         is_array = isinstance(values[0], np.ndarray)
-        found[name] = np.concatenate(values) if is_array else [entry for value in values for entry in value]
-    return Points(**found)
+        joined[name] = np.concatenate(values) if is_array else [entry for value in values for entry in value]
+    return Points(**joined)
 
 
 def base_from_balance(robot: str, kind: str) -> Floats:
@@ -294,8 +294,8 @@ def reduce_points(points: Points, joints: Mapping[str, Floats], coms: Mapping[st
         "test": ("point", list(points.test)),
         "kind": ("point", list(points.kind)),
         "posture": ("point", list(points.posture)),
-        "marks": ("point", [", ".join(found) for found in marks]),
-        "robot_only": ("point", np.array([not found for found in marks]).astype("i1")),
+        "marks": ("point", [", ".join(mark) for mark in marks]),
+        "robot_only": ("point", np.array([not mark for mark in marks]).astype("i1")),
         "axis": ["x", "y", "z"],
         "component": list(COMPONENTS),
         "joint": list(JOINTS),

@@ -60,11 +60,11 @@ def _groups(cells: pd.DataFrame, axes: Sequence[dict[str, Any]]) -> list[tuple[s
     if not axes:
         return [("", cells)]
     names = [axis["name"] for axis in axes]
-    found = []
+    groups = []
     for labels in cells[names].drop_duplicates().itertuples(index=False):
         mine = np.logical_and.reduce([cells[name] == label for name, label in zip(names, labels, strict=True)])
-        found.append((", ".join(map(level_label, axes, labels)), cells[mine]))
-    return found
+        groups.append((", ".join(map(level_label, axes, labels)), cells[mine]))
+    return groups
 
 
 def spread(cells: pd.DataFrame, figure: str | None) -> tuple[str, Any, Any, Any]:

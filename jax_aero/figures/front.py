@@ -19,21 +19,21 @@ TIMED = re.compile(r"(?P<kind>.+), (?P<time>[\d.]+) s")
 def draw(sweep: SweepResult) -> Figure:
     """Draw a sweep whose first axis has missions, over all levels of the axes that are no panels."""
     missions = sweep.axes[0] if sweep.axes else {"name": "", "levels": []}
-    timed = {level: found for level in missions["levels"] if (found := TIMED.fullmatch(str(level)))}
+    timed = {level: match for level in missions["levels"] if (match := TIMED.fullmatch(str(level)))}
     panel = sweep.panel_axis
     suits = panel is not None and missions["name"] and len(timed) == len(missions["levels"])
     require(sweep, bool(suits), "missions such as `upright, 14 s`, and panels")
     assert panel is not None
     counts = sweep.cells.groupby([panel["name"], missions["name"]])[["flights", "upright"]].sum()
-    kinds = dict.fromkeys(found["kind"] for found in timed.values())
+    kinds = dict.fromkeys(match["kind"] for match in timed.values())
     figure = style.figure(2.9)
     row = figure.subplots(1, len(panel["levels"]), sharex=True, sharey=True, squeeze=False)[0]
     for axes, fault in zip(row, panel["levels"], strict=True):
         for kind, (colour, marker, _) in zip(kinds, SERIES, strict=False):
             points = [
-                (float(found["time"]), *counts.loc[(fault, level)])
-                for level, found in timed.items()
-                if found["kind"] == kind
+                (float(match["time"]), *counts.loc[(fault, level)])
+                for level, match in timed.items()
+                if match["kind"] == kind
             ]
             times, shares = zip(*((time, share(upright, flights)) for time, flights, upright in points), strict=True)
             middles, *ends = zip(*shares, strict=True)

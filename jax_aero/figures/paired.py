@@ -25,17 +25,17 @@ BEYOND = 1.2
 def draw(sweep: SweepResult, axis: str) -> Figure:
     """Draw the differences of share and median errors, a row for each level and combination of the other axes."""
     names = {one["name"]: one for one in sweep.document["axes"]}
-    found = differences(sweep.flights, list(names), axis)
-    others = [names[name] for name in found if name in names and name != axis]
+    table = differences(sweep.flights, list(names), axis)
+    others = [names[name] for name in table if name in names and name != axis]
     labels = [
         ", ".join([*(level_label(one, row[one["name"]]) for one in others), row[axis]]) + f"\n{_losses(row)}"
-        for row in found.to_dict("records")
+        for row in table.to_dict("records")
     ]
-    figure = style.figure(1.3 + HEIGHT * len(found))
+    figure = style.figure(1.3 + HEIGHT * len(table))
     row = figure.subplots(1, len(PANELS), sharey=True)
-    place = np.arange(len(found))
+    place = np.arange(len(table))
     for axes, name in zip(row, PANELS, strict=True):
-        ends = found[[f"{name}_low", name, f"{name}_high"]].to_numpy(dtype=float)
+        ends = table[[f"{name}_low", name, f"{name}_high"]].to_numpy(dtype=float)
         finite = abs(ends[np.isfinite(ends)])
         edge = BEYOND * finite.max(initial=0.0) or 1.0
         low, middle, high = np.clip(ends, -edge, edge).T
@@ -50,7 +50,7 @@ def draw(sweep: SweepResult, axis: str) -> Figure:
         axes.axvline(0.0, color=style.BLACK, linewidth=0.6)
         axes.set_xlabel(textwrap.fill(COLUMNS[name], WIDTH))
     row[0].set_yticks(place, labels)
-    row[0].set_ylim(len(found) - 0.5, -0.5)
+    row[0].set_ylim(len(table) - 0.5, -0.5)
     style.title(figure, f"{sweep.title}: differences")
     style.footnote(figure, f"pairs of flights on the same draws; arrow: as far as a loss; {sweep.each}")
     return figure

@@ -49,14 +49,14 @@ def correlations(sweep: SweepResult, flights: pd.DataFrame, error: pd.Series) ->
     A bias has effects of either sign, so inputs with a nominal middle count by their distance from it. Flights without
     the error, since they were lost before, are left out.
     """
-    found = {}
+    by_axis = {}
     known = error.notna()
     for axis in sweep.axes:
         x = flights[axis["name"]]
         middle = (x.max() + x.min()) / 2.0
         size = x if axis["name"] in ("speed", "lag") else (x - middle).abs()
-        found[axis["name"]] = float(size[known].rank().corr(error[known].rank()))
-    return found
+        by_axis[axis["name"]] = float(size[known].rank().corr(error[known].rank()))
+    return by_axis
 
 
 def _correlations(figure: FigureBase, sweep: SweepResult, flights: pd.DataFrame) -> None:

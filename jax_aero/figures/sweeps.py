@@ -23,10 +23,10 @@ def load(folder: Path, name: str, of: Sequence[str] = ()) -> SweepResult:
     if not results.is_finished(folder / name):
         raise MissingRun(f"no finished sweep `{name}`; fly it with: jax-aero sweep {name}")
     try:
-        found = results.read(folder / name, documents.DrawnSweep)
+        sweep = results.read(folder / name, documents.DrawnSweep)
     except Refused as reason:
         raise MissingRun(str(reason)) from reason
-    return replace(found, of=tuple(of)) if of else found
+    return replace(sweep, of=tuple(of)) if of else sweep
 
 
 def require(sweep: SweepResult, suits: bool, expected: str) -> None:

@@ -60,17 +60,17 @@ def mistake(
 
 def proposals(config: rust.Config, known: Identified) -> list[tuple[str, str, str]]:
     """Return what a log of each manoeuvre of one axis would add, the best first; each is flown in the experiment."""
-    robot, found = known.robot, known.found
+    robot, estimate = known.robot, known.found
     rows, names = [], [name for name, *_ in labels(robot)]
-    numbers = numbers_of(robot, found.value)
+    numbers = numbers_of(robot, estimate.value)
     with tempfile.TemporaryDirectory() as folder:
         for axis in excite.AXES:
             log = rust.fly(excite.flight(config, [axis], Path(folder))).log
             more, _ = samples.sample(log, config, rust.Robot(config["robot"]))
-            left = search.expected(known.model, numbers, found, more, samples.PERIOD)
-            asked = found.prior > 0.0
-            remains = float(np.exp(np.mean(np.log(left[asked] / found.deviation[asked]))))
-            newly = asked & (found.share < FOUND) & (left < np.sqrt(0.5) * found.prior)
+            left = search.expected(known.model, numbers, estimate, more, samples.PERIOD)
+            asked = estimate.prior > 0.0
+            remains = float(np.exp(np.mean(np.log(left[asked] / estimate.deviation[asked]))))
+            newly = asked & (estimate.share < FOUND) & (left < np.sqrt(0.5) * estimate.prior)
             rows.append((remains, axis, ", ".join(names[place] for place in np.flatnonzero(newly)) or "none"))
     table = [(f"--excite {axis}", f"{100.0 * remains:.0f} %", newly) for remains, axis, newly in sorted(rows)]
     return [("a log of", "intervals left, geometric mean", "found besides"), *table]
@@ -123,10 +123,10 @@ def identify_robot(
     if is_predicted:
         known[-1] = 0
     weighed = None if mass is None else (mass, SCALE_ERROR * mass)
-    found = search.estimate(model, every, samples.PERIOD, prior, weighed, known=known)
+    estimate = search.estimate(model, every, samples.PERIOD, prior, weighed, known=known)
     names = [name for name, *_ in labels(robot)]
-    judged = verdict.judge(model, numbers_of(robot, found.value), found, every, again, known, names)
-    return Identified(model, every, found, judged, left_out, known)
+    judged = verdict.judge(model, numbers_of(robot, estimate.value), estimate, every, again, known, names)
+    return Identified(model, every, estimate, judged, left_out, known)
 
 
 class Identified(NamedTuple):

@@ -160,8 +160,8 @@ def robot_with(model: Model, numbers: Numbers) -> RobotModel:
     inertias = (masses / jnp.where(before > 0.0, before, 1.0))[:, None, None] * _opposite(second, 1.0)
 
     def places(coms: Array) -> Array:
-        found: Array = kin.body_positions + rotate(kin.body_rotations, coms)
-        return found
+        placed: Array = kin.body_positions + rotate(kin.body_rotations, coms)
+        return placed
 
     wanted = (1.0 + numbers.mass) * (before @ places(jnp.asarray(robot.coms)) + before[0] * numbers.com)
     coms = jnp.asarray(robot.coms) + bodies[:, 1:4]
@@ -179,8 +179,8 @@ def robot_with(model: Model, numbers: Numbers) -> RobotModel:
 
 def _opposite(moments: Float[Array, "nb 3 3"], share: float) -> Float[Array, "nb 3 3"]:
     """Return `share tr(A) 1 − A`: of inertias and 1/2 second moments, of these and 1 inertias."""
-    found: Array = share * trace(moments)[:, None, None] * jnp.eye(3) - moments
-    return found
+    opposite: Array = share * trace(moments)[:, None, None] * jnp.eye(3) - moments
+    return opposite
 
 
 def unexplained(model: Model, numbers: Numbers, samples: Samples) -> Float[np.ndarray, "k N"]:
@@ -237,10 +237,10 @@ def _inertial(model: Model, robot: RobotModel, numbers: Numbers, now: Samples) -
 
 def of_joints(robot: RobotModel, groups: Float[Array, " g"]) -> Float[Array, " n"]:
     """Return the numbers of the groups for each of their joints."""
-    found = jnp.zeros(robot.n_joints)
+    by_joint = jnp.zeros(robot.n_joints)
     for place, (_, joints) in enumerate(robot.joint_groups):
-        found = found.at[np.array(joints, dtype=int)].set(groups[place])
-    return found
+        by_joint = by_joint.at[np.array(joints, dtype=int)].set(groups[place])
+    return by_joint
 
 
 def scale_of(robot: RobotModel) -> tuple[float, float]:
@@ -280,8 +280,8 @@ def _by_chunks(function: Callable[[Samples], Array], samples: Samples) -> np.nda
         np.asarray(function(Samples(*(part[place : place + CHUNK] for part in rows))))
         for place in range(0, len(places), CHUNK)
     ]
-    found: np.ndarray = np.concatenate(parts)[:count]
-    return found
+    joined: np.ndarray = np.concatenate(parts)[:count]
+    return joined
 
 
 @jax.jit
@@ -299,8 +299,8 @@ def _parts(robot: RobotModel) -> tuple[Array, Array, Array, Array]:
 def _by_numbers(model: Model, numbers: Numbers) -> Float[Array, "e p"]:
     """Return the derivatives of the robot's parts by all numbers."""
     whole, unravel = ravel_pytree(numbers)
-    found: Array = jax.jacfwd(lambda theta: ravel_pytree(_parts(robot_with(model, unravel(theta))))[0])(whole)
-    return found
+    derivatives: Array = jax.jacfwd(lambda theta: ravel_pytree(_parts(robot_with(model, unravel(theta))))[0])(whole)
+    return derivatives
 
 
 @jax.jit
@@ -309,8 +309,8 @@ def _of_mass(model: Model, numbers: Numbers, now: Samples) -> Float[Array, "N 6 
 
     def columns(theta: Array) -> Array:
         guess = unravel(theta)
-        found: Array = _inertial(model, robot_with(model, guess), guess, now)[1][:, :6]
-        return found
+        first: Array = _inertial(model, robot_with(model, guess), guess, now)[1][:, :6]
+        return first
 
     by: Array = jax.jacfwd(columns)(whole)
     return columns(whole)[..., None] * by
@@ -340,5 +340,5 @@ def _derivatives(model: Model, numbers: Numbers, samples: Samples) -> Float[Arra
 
         return jax.jacrev(of)(jnp.concatenate([parts, whole]))
 
-    found: Array = jax.vmap(one)(samples)
-    return found
+    derivatives: Array = jax.vmap(one)(samples)
+    return derivatives

@@ -66,16 +66,16 @@ def labels(robot: RobotModel) -> list[tuple[str, str, float]]:
         "thrust_axes": [f"{jet}.{number}" for jet in jets for number in (1, 2)],
         "wrench": ["fx", "fy", "fz", "mx", "my", "mz"], "wind": xyz, "delay": ["thrust", "torque"],
     }  # fmt: skip
-    found = []
+    rows = []
     for name in Numbers._fields:
         unit, factor = UNITS[name]
-        found += [(f"{name}.{entry}" if entry else name, unit, factor) for entry in entries.get(name, [""])]
-    return found
+        rows += [(f"{name}.{entry}" if entry else name, unit, factor) for entry in entries.get(name, [""])]
+    return rows
 
 
-def records(robot: RobotModel, found: Found, shown: NDArray[np.bool_]) -> list[Record]:
+def records(robot: RobotModel, estimate: Found, shown: NDArray[np.bool_]) -> list[Record]:
     """Return the numbers as data, in their units: value, interval, deviation before, share of the data."""
-    rows, (low, middle, high) = [], estimates(robot, found)
+    rows, (low, middle, high) = [], estimates(robot, estimate)
     for place in np.flatnonzero(shown):
         name, unit, factor = labels(robot)[place]
         rows.append(
@@ -84,46 +84,46 @@ def records(robot: RobotModel, found: Found, shown: NDArray[np.bool_]) -> list[R
                 "value": factor * float(middle[place]),
                 "interval": [factor * float(low[place]), factor * float(high[place])],
                 "unit": unit,
-                "prior": factor * float(found.prior[place]),
-                "share": float(found.share[place]),
-                "found": bool(found.share[place] >= FOUND),
+                "prior": factor * float(estimate.prior[place]),
+                "share": float(estimate.share[place]),
+                "found": bool(estimate.share[place] >= FOUND),
             }
         )
     return rows
 
 
-def correlations(robot: RobotModel, found: Found, shown: NDArray[np.bool_]) -> list[tuple[str, str, float]]:
+def correlations(robot: RobotModel, estimate: Found, shown: NDArray[np.bool_]) -> list[tuple[str, str, float]]:
     """Return the numbers that are found and the correlations of their errors, those of `RELATED` and above."""
-    places = np.flatnonzero(shown & (found.share >= FOUND))
+    places = np.flatnonzero(shown & (estimate.share >= FOUND))
     names = [labels(robot)[place][0] for place in places]
-    deviation = found.deviation[places]
-    matrix = found.covariance[np.ix_(places, places)] / np.outer(deviation, deviation)
+    deviation = estimate.deviation[places]
+    matrix = estimate.covariance[np.ix_(places, places)] / np.outer(deviation, deviation)
     pairs = np.argwhere(np.triu(np.abs(matrix) >= RELATED, 1)).tolist()
     return [(names[row], names[column], round(float(matrix[row, column]), 3)) for row, column in pairs]
 
 
-def estimates(robot: RobotModel, found: Found) -> tuple[Array, Array, Array]:
+def estimates(robot: RobotModel, estimate: Found) -> tuple[Array, Array, Array]:
     """Return of all numbers the lower ends of their intervals, `INTERVAL` likely, their medians, and the upper ends."""
-    low, middle, high = quantiles(robot, found, (0.5 - 0.5 * INTERVAL, 0.5, 0.5 + 0.5 * INTERVAL))
+    low, middle, high = quantiles(robot, estimate, (0.5 - 0.5 * INTERVAL, 0.5, 0.5 + 0.5 * INTERVAL))
     return low, middle, high
 
 
-def quantiles(robot: RobotModel, found: Found, probabilities: Sequence[float]) -> list[Array]:
+def quantiles(robot: RobotModel, estimate: Found, probabilities: Sequence[float]) -> list[Array]:
     """Return the values below which all numbers are with these probabilities.
 
     Errors of a file are uniform in `UNIFORM`, of friction from zero, so that what the data alone give is cut there.
     """
-    is_free = found.prior > 0.0
-    before, after = np.where(is_free, found.prior, 1.0), np.where(is_free, found.deviation, 1.0)
+    is_free = estimate.prior > 0.0
+    before, after = np.where(is_free, estimate.prior, 1.0), np.where(is_free, estimate.deviation, 1.0)
     names = [name.split(".")[0] for name, *_ in labels(robot)]
     half = np.sqrt(3.0) * before
     least = np.where([name == "friction" for name in names], 0.0, -half)
     precision = np.maximum(after**-2 - before**-2, 1e-9 * before**-2)
-    alone, spread = found.value * after**-2 / precision, precision**-0.5
+    alone, spread = estimate.value * after**-2 / precision, precision**-0.5
     is_cut = np.array([name in UNIFORM for name in names]) & is_free
     is_cut &= (alone + 2.0 * spread >= least) & (alone - 2.0 * spread <= half)
     edges = [np.where(is_cut, ndtr((edge - alone) / spread), outer) for edge, outer in ((least, 0.0), (half, 1.0))]
-    centre, width = np.where(is_cut, alone, found.value), np.where(is_cut, spread, found.deviation)
+    centre, width = np.where(is_cut, alone, estimate.value), np.where(is_cut, spread, estimate.deviation)
     return [centre + width * ndtri(edges[0] + part * (edges[1] - edges[0])) for part in probabilities]
 
 

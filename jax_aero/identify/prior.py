@@ -76,11 +76,11 @@ def prior_of(robot: RobotModel, widths: Perturbation, wind: float = 0.0) -> Numb
 def _bodies(robot: RobotModel, load: tuple[float, float] = (0.0, 0.0)) -> Array:
     """Return the deviations of bodies' numbers (nb, 10): of the heavy ones, and of what the heaviest may carry."""
     masses = np.asarray(robot.masses)
-    found: Array = np.repeat(BODIES, [1, 3, 6]) * (masses > HEAVY * masses.sum())[:, None] / np.sqrt(3.0)
+    deviations: Array = np.repeat(BODIES, [1, 3, 6]) * (masses > HEAVY * masses.sum())[:, None] / np.sqrt(3.0)
     heaviest = masses.argmax()
     carried = load[0] / masses[heaviest] / np.sqrt(3.0)
-    found[heaviest, :4] = np.hypot(found[heaviest, :4], carried * np.array([1.0, *[load[1]] * 3]))
-    return found
+    deviations[heaviest, :4] = np.hypot(deviations[heaviest, :4], carried * np.array([1.0, *[load[1]] * 3]))
+    return deviations
 
 
 def _of_whole(robot: RobotModel, bodies: Array) -> tuple[Array, float]:

@@ -25,21 +25,21 @@ def write_robot(folder: Path, source: Path, model: Model, numbers: Numbers, note
 
     Of links that move together all masses and inertias are scaled; the heaviest takes what else makes the body's.
     """
-    before, found = rust.Robot(source), robot_with(model, numbers)
+    before, robot = rust.Robot(source), robot_with(model, numbers)
     table, tree = tomllib.loads(before.toml_text), ET.fromstring(before.urdf_text)
     elements = {str(link.get("name")): link.find("inertial") for link in tree.iter("link")}
-    for body in range(len(found.masses)):
+    for body in range(len(robot.masses)):
         links = [
             _Inertial(element, *pose)
             for name, (of, pose) in before.links().items()
             if of == body and (element := elements.get(name)) is not None and _mass_of(element) > 0.0
         ]
         if links:
-            _distribute(links, *(np.asarray(part)[body] for part in (found.masses, found.coms, found.inertias)))
+            _distribute(links, *(np.asarray(part)[body] for part in (robot.masses, robot.coms, robot.inertias)))
     ET.ElementTree(tree).write(folder / "robot.urdf", encoding="utf-8", xml_declaration=True)
     jets = [
         dict(jet) | {"axis": axis.tolist()}
-        for jet, axis in zip(table["jets"], np.asarray(found.jets.axes), strict=True)
+        for jet, axis in zip(table["jets"], np.asarray(robot.jets.axes), strict=True)
     ]
     changed = {"base": str(source.resolve()), "urdf": "robot.urdf", "jets": jets}
     text = "".join(f"# {note}\n" for note in notes) + plain_values.toml(changed) + "\n"
@@ -145,8 +145,8 @@ def write_experiment(folder: Path, config: rust.Config, robot: RobotModel, numbe
         known = controller["torque"].get("friction") or {}
         groups = dict(robot.joint_groups)
         means = frictions(robot, friction)
-        found = {name: mean for name, mean in means.items() if np.any(is_found.friction[list(groups[name])])}
-        controller = controller | {"torque": controller["torque"] | {"friction": known | found}}
+        known_friction = {name: mean for name, mean in means.items() if np.any(is_found.friction[list(groups[name])])}
+        controller = controller | {"torque": controller["torque"] | {"friction": known | known_friction}}
     if (actuation := simulator.get("actuation")) and is_found.delay[1]:
         step = controller["time_step"] / simulator["substeps"]
         late = max(actuation.get("torque_delay", 0.0) + float(numbers.delay[1]), 0.0)

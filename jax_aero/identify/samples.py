@@ -59,8 +59,8 @@ def read(
         For a log that lacks a signal, or is short.
     """
     config = {**config, "robot": robot_file}
-    found = measured.of_controller(logs.read(path, config, mapping, robot_file), config, path)
-    return check(found.signals, str(path), rust.Robot(robot_file), needed)
+    ticks = measured.of_controller(logs.read(path, config, mapping, robot_file), config, path)
+    return check(ticks.signals, str(path), rust.Robot(robot_file), needed)
 
 
 def check(
@@ -85,7 +85,7 @@ def left_out(signals: Mapping[str, Array], robot: rust.Robot) -> dict[str, NDArr
     thrust, most = flat["raw_thrust"], np.array(robot.thrust_max)
     idle = np.maximum(np.array(robot.thrust_min), IDLE * most)
     torque = np.abs(flat.get("joint_torque", np.zeros((time.size, len(robot.joint_names)))))
-    found = {
+    reasons = {
         "rows lost": ~np.all([np.isfinite(flat[name]).all(axis=1) for name in MEASURED if name in flat], axis=0),
         "feet loaded": np.zeros(time.size, dtype=np.bool_),
         "engines idle": np.any(thrust < idle, axis=1) & (np.max(thrust, axis=1, initial=0.0) > 0.0),
@@ -94,12 +94,12 @@ def left_out(signals: Mapping[str, Array], robot: rust.Robot) -> dict[str, NDArr
         "joints beyond stops": np.any(np.abs(flat["raw_joint_position"]) > measured.beyond(robot), axis=1),
     }
     for name, often in (("engines idle", MOST), ("joints beyond stops", measured.OFTEN)):
-        if found[name].mean() > often:  # then it is not the engines or joints that are wrong, but the log
-            found[name][:] = False
+        if reasons[name].mean() > often:  # then it is not the engines or joints that are wrong, but the log
+            reasons[name][:] = False
     if "foot_wrench" in flat:
         load = np.linalg.norm(flat["foot_wrench"].reshape(time.size, -1, 6)[..., :3].sum(axis=1), axis=1)
-        found["feet loaded"] = np.nan_to_num(load) > LOADED * robot.mass * robot.gravity
-    return found
+        reasons["feet loaded"] = np.nan_to_num(load) > LOADED * robot.mass * robot.gravity
+    return reasons
 
 
 def _jumps(signals: Mapping[str, Array]) -> NDArray[np.bool_]:
@@ -107,7 +107,7 @@ def _jumps(signals: Mapping[str, Array]) -> NDArray[np.bool_]:
     time, velocity = signals["time"], signals["raw_base_velocity"]
     step, rotation = np.diff(time)[:, None], signals["raw_base_rotation"]
     turned = np.einsum("kab,kcb->kac", rotation[1:], rotation[:-1])
-    found = np.zeros(time.size, dtype=np.bool_)
+    jumps = np.zeros(time.size, dtype=np.bool_)
     for name, change in {
         "raw_base_position": np.diff(signals["raw_base_position"], axis=0) - step * velocity[1:, :3],
         "raw_base_velocity": np.diff(velocity[:, :3], axis=0),
@@ -115,8 +115,8 @@ def _jumps(signals: Mapping[str, Array]) -> NDArray[np.bool_]:
     }.items():
         change = np.nan_to_num(change - np.nanmedian(change, axis=0))
         least = np.maximum(JUMP * 1.48 * np.median(np.abs(change), axis=0), JUMPS[name])
-        found[1:] |= np.any(np.abs(change) > least, axis=1)
-    return found
+        jumps[1:] |= np.any(np.abs(change) > least, axis=1)
+    return jumps
 
 
 def sample(
@@ -159,7 +159,7 @@ def sample(
     feet = _of_feet(signals, robot) if with_feet else np.zeros((time.size, 6 + joints.shape[1]))
     turned = smooth(rotation, rotation_late, 1)
     impulse = np.cumsum(_filled(time, signals["raw_thrust"]).sum(axis=1)) * (time[1] - time[0])
-    found = Samples(
+    smoothed = Samples(
         weight=(~np.any(list(near.values()), axis=0)).astype(float),
         burnt=np.interp(at, time, impulse),
         turn_rate=turn_of(np.einsum("kba,kbc->kac", attitude, turned)),
@@ -181,7 +181,7 @@ def sample(
         wind=smooth(wind, 0.0) if is_measured(signals) else np.zeros((at.size, 3)),
         feet=smooth(feet, 0.0),
     )
-    return found, {name: int(rows.sum()) for name, rows in near.items() if rows.any()}
+    return smoothed, {name: int(rows.sum()) for name, rows in near.items() if rows.any()}
 
 
 def even(signals: Mapping[str, Array]) -> dict[str, Array]:
@@ -192,22 +192,22 @@ def even(signals: Mapping[str, Array]) -> dict[str, Array]:
     time, first = np.unique(signals["time"], return_index=True)
     step = float(np.median(np.diff(time)))
     at = time[0] + step * np.arange(int((time[-1] - time[0]) / step + 1.5))
-    found = {"time": at}
+    resampled = {"time": at}
     for name, rows in signals.items():
         if len(rows) != len(signals["time"]) or name == "time":
             continue
         flat = rows[first].reshape(time.size, int(np.prod(rows.shape[1:])))
         known = np.flatnonzero(np.isfinite(flat).all(axis=1))
         if known.size < 2:
-            found[name] = np.full((at.size, *rows.shape[1:]), np.nan)
+            resampled[name] = np.full((at.size, *rows.shape[1:]), np.nan)
             continue
         after = np.clip(np.searchsorted(time[known], at), 1, known.size - 1)
         begin, end = time[known[after - 1]], time[known[after]]
         share = (at - begin) / (end - begin)
         near = (np.abs(share - 0.5) <= 0.5 + 1e-6) & (end - begin <= max(BRIDGED[0], BRIDGED[1] * step) + 1e-9)
         moved = flat[known[after - 1]] + share[:, None] * (flat[known[after]] - flat[known[after - 1]])
-        found[name] = np.where(near[:, None], moved, np.nan).reshape(at.size, *rows.shape[1:])
-    return found
+        resampled[name] = np.where(near[:, None], moved, np.nan).reshape(at.size, *rows.shape[1:])
+    return resampled
 
 
 def is_measured(signals: Mapping[str, Array]) -> bool:
@@ -219,10 +219,10 @@ def is_measured(signals: Mapping[str, Array]) -> bool:
 def _of_feet(signals: Mapping[str, Array], robot: rust.Robot) -> Array:
     """Return the generalised forces of the measured wrenches of the feet (ticks, 6 + n)."""
     frames = [foot["frame"] for foot in tomllib.loads(robot.toml_text)["feet"]]
-    found = np.zeros((signals["time"].size, 6 + signals["raw_joint_position"].shape[1]))
+    forces = np.zeros((signals["time"].size, 6 + signals["raw_joint_position"].shape[1]))
     rotations = nearest_rotation(signals["raw_base_rotation"])  # between two rows they are interpolated
     poses = signals["raw_base_position"], rotations, signals["raw_joint_position"]
-    for row, wrenches, position, rotation, joints in zip(found, signals["foot_wrench"], *poses, strict=True):
+    for row, wrenches, position, rotation, joints in zip(forces, signals["foot_wrench"], *poses, strict=True):
         if not all(np.isfinite(part).all() for part in (position, rotation, joints)):
             row[:] = np.nan  # a row that was lost
             continue
@@ -230,7 +230,7 @@ def _of_feet(signals: Mapping[str, Array], robot: rust.Robot) -> Array:
         for frame, wrench in zip(frames, wrenches.reshape(-1, 6), strict=True):
             jacobian = rust.frame_jacobian(robot, frame, state)
             row += jacobian.linear.T @ wrench[:3] + jacobian.angular.T @ wrench[3:]
-    return found
+    return forces
 
 
 def _filled(time: Array, rows: Array) -> Array:
@@ -249,14 +249,14 @@ def _spread(time: Array, rows: NDArray[np.bool_]) -> Array:
 
 def latencies(log: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
     """Return median and standard deviation of the latencies that the controller's monitor measured, if it did [s]."""
-    found = {}
+    by_key = {}
     for key in ("torque", "thrust"):
         rows = log.get(f"measured_{key}_latency", np.array([np.nan]))
         rows = rows[np.isfinite(rows)]
         rows = rows[rows.size // 10 :]
         if rows.size:
-            found[key] = (float(np.median(rows)), float(np.std(rows)))
-    return found
+            by_key[key] = (float(np.median(rows)), float(np.std(rows)))
+    return by_key
 
 
 def _smooth(time: Array, rows: Array, at: Array, derivative: int) -> Array:
@@ -279,16 +279,16 @@ def _smooth(time: Array, rows: Array, at: Array, derivative: int) -> Array:
 
 def with_noise_again(signals: Mapping[str, Array]) -> dict[str, Array]:
     """Return a log to which the noise of its sensors is added once more, as large as third differences show it."""
-    rng, found = np.random.default_rng(0), dict(signals)
+    rng, noisy = np.random.default_rng(0), dict(signals)
     for name in NOISY:
         rows = signals[name].reshape(len(signals[name]), int(np.prod(signals[name].shape[1:])))
         size = noise_of(rows)
         if name == "raw_base_rotation":
             turns = np.sqrt(np.sum(size**2) / 6.0) * rng.normal(size=(len(rows), 3))
-            found[name] = signals[name] @ Rotation.from_rotvec(turns).as_matrix()
+            noisy[name] = signals[name] @ Rotation.from_rotvec(turns).as_matrix()
         else:
-            found[name] = signals[name] + (size * rng.normal(size=rows.shape)).reshape(signals[name].shape)
-    return found
+            noisy[name] = signals[name] + (size * rng.normal(size=rows.shape)).reshape(signals[name].shape)
+    return noisy
 
 
 def noise_of(rows: Array) -> Array:
@@ -313,7 +313,7 @@ def grounded(load: Array, speed: Array) -> NDArray[np.bool_]:
         return np.zeros_like(stands)
     least = np.median(load[flies]) + 0.25 * STANDING[0]
     edges = np.flatnonzero(np.diff(load > least, prepend=False, append=False))
-    found = np.zeros_like(stands)
+    carried = np.zeros_like(stands)
     for begin, end in edges.reshape(-1, 2):
-        found[begin:end] = stands[begin:end].any()
-    return found
+        carried[begin:end] = stands[begin:end].any()
+    return carried

@@ -226,7 +226,7 @@ class _Problem:
 
         Beside them are the noise of thrusts in the slopes, and cover and spectrum of that of accelerations.
         """
-        found = []
+        of_logs = []
         noises = [np.asarray(one.thrust_noise) for one in self.logs]
         for one, left, (slopes, air), weights, noise, count in zip(
             self.logs, lefts, linear, self.rows, noises, counts, strict=True
@@ -241,8 +241,8 @@ class _Problem:
                 spectrum = _of_accelerations(np.asarray(one.velocity_noise)[0], len(left), duration)
                 share = _taper(end) ** 2 / np.sum(_taper(end) ** 2)
                 noisy = np.einsum("k,kij,kj->ij", share, by_thrust**2, noise[:count:step][:, : len(self.offsets)] ** 2)
-                found.append((left, by, spread, noisy, (share @ window**2, spectrum)))
-        return found
+                of_logs.append((left, by, spread, noisy, (share @ window**2, spectrum)))
+        return of_logs
 
     def solve(self, start: Any, lefts: Any, linear: Any, counts: Sequence[int], step: int) -> tuple[Any, Any]:
         """Return numbers and their covariance in units of the prior, from the first samples of every log."""
@@ -307,11 +307,11 @@ class _Problem:
             return [(one, one, one) for one in nothing]
         for _ in range(2):
             theta, covariance = self.solve(theta, self.left_of(theta), linear, known, 1)
-        found = []
+        predicted = []
         for left, (slopes, *_), weights, count in zip(self.left_of(theta), linear, self.rows, known, strict=True):
             by = self.sigma * slopes[count:]
-            found.append((left[count:], np.sqrt(np.sum(by * (by @ covariance), axis=-1)), weights[count:]))
-        return found
+            predicted.append((left[count:], np.sqrt(np.sum(by * (by @ covariance), axis=-1)), weights[count:]))
+        return predicted
 
     def whole(self, covariance: Any) -> np.ndarray:
         """Return the covariance of all numbers, with that of what motions imitate."""
@@ -330,8 +330,8 @@ class _Problem:
 def _of_accelerations(noise: np.ndarray, size: int, duration: float) -> Float[np.ndarray, "f 6"]:
     """Return the spectrum of the noise of the base's accelerations, of white noise of its velocities."""
     rates = 2.0 * np.pi * np.arange(size)[:, None] / duration
-    found: np.ndarray = (noise * rates) ** 2 * np.exp(-((rates * WIDTH) ** 2))
-    return found
+    spectrum: np.ndarray = (noise * rates) ** 2 * np.exp(-((rates * WIDTH) ** 2))
+    return spectrum
 
 
 def _deviations(step: np.ndarray, sigma: np.ndarray, covariance: np.ndarray) -> float:
@@ -339,20 +339,20 @@ def _deviations(step: np.ndarray, sigma: np.ndarray, covariance: np.ndarray) -> 
     return float(np.max(np.abs(step) / (sigma * np.sqrt(np.diag(covariance))), initial=0.0))
 
 
-def expected(model: Model, numbers: Numbers, found: Found, log: Samples, period: float) -> Float[np.ndarray, " p"]:
+def expected(model: Model, numbers: Numbers, estimate: Found, log: Samples, period: float) -> Float[np.ndarray, " p"]:
     """Return the standard deviations after one more log, of which the motion alone counts (p,).
 
     `numbers` are about the values of `found`. The noise is white and as large as what these leave of their last log.
     """
-    free = np.flatnonzero(found.prior > 0.0)
-    sigma = found.prior[free]
+    free = np.flatnonzero(estimate.prior > 0.0)
+    sigma = estimate.prior[free]
     slopes, left = slopes_of(model, numbers, log, tuple(free.tolist())), unexplained(model, numbers, log)
     air = air_of(model, numbers, log, left)
     _, by, spread = _transformed(model.robot, _moving(log), left, slopes, air, period)
-    noise = np.broadcast_to(np.std(found.residuals[-1][1], axis=0), by.shape[:2])
+    noise = np.broadcast_to(np.std(estimate.residuals[-1][1], axis=0), by.shape[:2])
     added, *_ = _information(noise, sigma * by, spread, np.zeros((free.size, free.size)))
-    known = np.linalg.inv(found.covariance[np.ix_(free, free)] / np.outer(sigma, sigma))
-    after = np.zeros(found.prior.size)
+    known = np.linalg.inv(estimate.covariance[np.ix_(free, free)] / np.outer(sigma, sigma))
+    after = np.zeros(estimate.prior.size)
     after[free] = sigma * np.sqrt(np.diag(np.linalg.inv(known + added)))
     return after
 

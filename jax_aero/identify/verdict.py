@@ -86,25 +86,25 @@ class Verdict(NamedTuple):
     @property
     def improvement(self) -> float:
         """Return what the file leaves of the base's accelerations over what the numbers leave."""
-        file, found = (np.array([getattr(row, name) for row in self.rows[:6]]) for name in ("file", "found"))
-        return float(np.exp(np.mean(np.log(np.hypot(file, SMALL) / np.hypot(found, SMALL)))))
+        file, numbers = (np.array([getattr(row, name) for row in self.rows[:6]]) for name in ("file", "found"))
+        return float(np.exp(np.mean(np.log(np.hypot(file, SMALL) / np.hypot(numbers, SMALL)))))
 
 
 def judge(
     model: Model,
     numbers: Numbers,
-    found: Found,
+    estimate: Found,
     logs: Sequence[Samples],
     again: Sequence[Samples],
     known: Sequence[int],
     names: Sequence[str],
 ) -> Verdict:
     """Return the verdict on numbers that the first `known` samples of logs gave; `again` have their noise twice."""
-    conflicts = conflicts_of(found, names)
+    conflicts = conflicts_of(estimate, names)
     total: Any = 0.0
     squares: dict[str, Any] = dict.fromkeys(("measured", "file", "found", "error", "noise", "unmodelled"), 0.0)
     for log, more, (before, _), (left, spread, weight), count in zip(
-        logs, again, found.residuals, found.held_out, known, strict=True
+        logs, again, estimate.residuals, estimate.held_out, known, strict=True
     ):
         if count == len(log.weight):
             continue
@@ -150,12 +150,12 @@ def judge(
     return Verdict(table, conflicts)
 
 
-def conflicts_of(found: Found, names: Sequence[str]) -> list[str]:
+def conflicts_of(estimate: Found, names: Sequence[str]) -> list[str]:
     """Return the names of numbers that lie beyond what the file's stated error allows, with their deviations."""
-    half = np.sqrt(3.0) * np.where(found.prior > 0.0, found.prior, np.inf)
-    beyond = (np.abs(found.value) - 2.0 * found.deviation) / half
+    half = np.sqrt(3.0) * np.where(estimate.prior > 0.0, estimate.prior, np.inf)
+    beyond = (np.abs(estimate.value) - 2.0 * estimate.deviation) / half
     places = np.flatnonzero(beyond > BEYOND).tolist()
-    ended = [f"the search's last step, of {found.moved:.1f} deviations,"] if found.moved > 1.0 else []
+    ended = [f"the search's last step, of {estimate.moved:.1f} deviations,"] if estimate.moved > 1.0 else []
     return [*(f"{names[place]} ({beyond[place]:.1f} times its prior)" for place in places), *ended]
 
 

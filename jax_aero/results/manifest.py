@@ -59,7 +59,7 @@ def version_of(package: str) -> dict[str, str]:
 def _portable_word(word: str) -> str:
     """Return a word of a command line with portable paths, also within `--set KEY="PATH"`; what is no text is `?`."""
     word = word.encode(errors="replace").decode()
-    return re.sub(r"(^|[=\"'\[{,]\s*)(/[^\"',\]}]*)", lambda found: found[1] + str(make_portable(found[2])), word)
+    return re.sub(r"(^|[=\"'\[{,]\s*)(/[^\"',\]}]*)", lambda match: match[1] + str(make_portable(match[2])), word)
 
 
 def seeds(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, int]]:
@@ -92,10 +92,10 @@ def _git(*arguments: str) -> str | None:
 
 def versions(backend: str) -> dict[str, str]:
     """Return the versions that a result may depend on, including that of the backend's package."""
-    found = {"python": platform.python_version(), "flight-core": rust.__version__}
+    stated = {"python": platform.python_version(), "flight-core": rust.__version__}
     for package in ("jax-aero", "numpy", "scipy", "xarray", "h5netcdf", "pyarrow"):
-        found |= version_of(package) or {package: "not installed as a package"}
-    return found | version_of(backend)
+        stated |= version_of(package) or {package: "not installed as a package"}
+    return stated | version_of(backend)
 
 
 def processors() -> int:

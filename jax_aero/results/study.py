@@ -181,10 +181,10 @@ def _is_of(config: tables.Table, files: Sequence[Path], kept: Mapping[str, Any])
 
 def file_hashes(files: Iterable[Path]) -> dict[str, str]:
     """Return the hashes of files by path; files of one name outside the repository share an entry."""
-    found: dict[str, set[str]] = {}
+    by_path: dict[str, set[str]] = {}
     for path in files:
-        found.setdefault(manifest.make_portable(path), set()).add(file_hash(path))
-    return {path: " ".join(sorted(hashes)) for path, hashes in found.items()}
+        by_path.setdefault(manifest.make_portable(path), set()).add(file_hash(path))
+    return {path: " ".join(sorted(hashes)) for path, hashes in by_path.items()}
 
 
 def listing(summary: Mapping[str, Any]) -> str:

@@ -91,7 +91,7 @@ def _align(rows: Rows, space: str) -> tuple[Rows, list[str]]:
 
 def _pad(cell: str, widths: Iterable[int], space: str) -> str:
     left = iter(widths)
-    return NUMBER.sub(lambda found: found[0].rjust(next(left), space), cell)
+    return NUMBER.sub(lambda match: match[0].rjust(next(left), space), cell)
 
 
 NUMBER = re.compile(r"[-+−]?(?:\d+(?:\.\d+)?|lost)")

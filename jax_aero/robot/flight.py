@@ -108,8 +108,8 @@ def greatest_lean(robot: Robot, free: tuple[int, ...], posture: Array, base_rpy:
     x, y, _ = skeleton.AXES[forward]
     for lean in np.radians(LEANS):
         roll, pitch, yaw = (float(angle) for angle in base_rpy + lean * np.array([-y, x, 0.0]))
-        found = _solve(robot, free, posture, (roll, roll), (pitch, pitch), yaw, LEAN_RESERVE / 3.0, LEAN_RESERVE)
-        if found.feasible:
+        hover = _solve(robot, free, posture, (roll, roll), (pitch, pitch), yaw, LEAN_RESERVE / 3.0, LEAN_RESERVE)
+        if hover.feasible:
             return float(lean)
     return 0.0
 
@@ -175,12 +175,12 @@ def report(result: ImportResult) -> str:
 def limits_reached(flight: rust.FlightResult, robot: RobotModel) -> list[str]:
     """Return which torques and thrusts were at their limits for a fifth of the last three seconds of a flight."""
     last = flight["time"] > flight["time"][-1] - 3.0
-    found = []
+    texts = []
     for signal, names, greatest in (
         ("joint_torque", robot.joint_names, robot.joint_torque_max),
         ("thrust", robot.jets.names, robot.jets.thrust_max),
     ):
         at_limit = (np.abs(flight[signal][last]) >= 0.999 * np.asarray(greatest)).mean(axis=0) > 0.2
         if reached := [name for name, at in zip(names, at_limit, strict=True) if at]:
-            found.append(f"{signal} at its limit: {', '.join(reached)}")
-    return found
+            texts.append(f"{signal} at its limit: {', '.join(reached)}")
+    return texts

@@ -55,7 +55,7 @@ def doubts(tree: Tree, boxes: Mapping[str, Box]) -> list[str]:
     """Return warnings of masses that cannot be within the geometry of their link, or of the robot if it has none."""
     whole = np.concatenate(list(tree.points(boxes).values()))
     size = float(np.linalg.norm(np.ptp(whole, axis=0)))
-    found = []
+    warnings = []
     for link, (mass, com, inertia) in tree.inertials.items():
         box = boxes.get(link)
         middle, reach = (box.pose.position, 0.5 * float(np.linalg.norm(box.size))) if box else (np.zeros(3), size)
@@ -67,8 +67,8 @@ def doubts(tree: Tree, boxes: Mapping[str, Box]) -> list[str]:
         extent = f"{'its geometry' if box else 'the robot'} reaches {reach:.2g} m"
         if not least < radius <= GREATEST * reach:
             of = f"radius of gyration of link `{link}` is {radius:.3g} m ({greatest:.3g} kg m2, {mass:.3g} kg)"
-            found.append(f"{of}, but {extent}; expected an inertia in kg m2")
+            warnings.append(f"{of}, but {extent}; expected an inertia in kg m2")
         if away > GREATEST * reach:
             of = f"centre of mass of link `{link}` is {away:.3g} m from {place}"
-            found.append(f"{of}, but {extent}; expected metres")
-    return found
+            warnings.append(f"{of}, but {extent}; expected metres")
+    return warnings

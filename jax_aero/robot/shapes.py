@@ -37,7 +37,7 @@ def boxes(urdf: Urdf, folder: Path, *, skip_meshes: bool = False) -> dict[str, B
 
     With `skip_meshes` a warning replaces the refusal of meshes that are missing or cannot be read.
     """
-    found, skipped, reasons = {}, [], []
+    by_link, skipped, reasons = {}, [], []
     for link, shapes in itertools.groupby(urdf.shapes, key=lambda shape: shape.link):
         parts = []
         for shape in shapes:
@@ -47,13 +47,13 @@ def boxes(urdf: Urdf, folder: Path, *, skip_meshes: bool = False) -> dict[str, B
                 reasons.append(f"link `{link}`: {reason}")
                 skipped.append(f"{shape.file} of link `{link}`")
         if parts:
-            found[link] = parts[0] if len(parts) == 1 else _bounding_box(parts)
+            by_link[link] = parts[0] if len(parts) == 1 else _bounding_box(parts)
     if skipped and not skip_meshes:
         more = f"; the same for {len(skipped) - 1} more: {', '.join(skipped[1:])}" if len(skipped) > 1 else ""
         raise Refused(f"{reasons[0]}; --skip-meshes leaves such meshes out{more}")
     if skipped:
         warnings.warn(f"left out, as if they were not there: {', '.join(skipped)}", stacklevel=2)
-    return found
+    return by_link
 
 
 def _bounding_box(parts: list[Box]) -> Box:

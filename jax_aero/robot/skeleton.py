@@ -98,14 +98,14 @@ class Tree:
 
     def _next(self, link: str, held: Sequence[str]) -> list[Joint]:
         """Return the moving joints that no other one separates from a link, in tree order."""
-        found, waiting = [], self.child_joints(link)[::-1]
+        joints, waiting = [], self.child_joints(link)[::-1]
         while waiting:
             joint = waiting.pop()
             if joint.moves and joint.name not in held and not self._follows(joint, held):
-                found.append(joint)
+                joints.append(joint)
             else:
                 waiting += self.child_joints(joint.child)[::-1]
-        return found
+        return joints
 
     def with_mimics(self, held: Sequence[str], *, hold_mimics: bool) -> list[str]:
         """Return the held joints and, with `hold_mimics`, those that mimic one that moves, which are refused else."""
@@ -137,36 +137,36 @@ class Tree:
 
     def spinning(self, jets: Sequence[Thruster], held: Sequence[str]) -> list[str]:
         """Return a warning of joints without limits that turn jets about their own axes, as rotors spin."""
-        found = []
+        names = []
         for joint in self.moving(held):
             if joint.axis is None or joint.limits is not None or joint.is_prismatic:
                 continue
             part = self.rigid_part(joint.child)
             axes = [part[jet.frame].rotation @ AXES[jet.axis] for jet in jets if jet.frame in part]
             if any(abs(joint.axis @ axis) > ALONG for axis in axes):
-                found.append(joint.name)
-        if not found:
+                names.append(joint.name)
+        if not names:
             return []
-        turn = "turns a jet about its axis" if len(found) == 1 else "turn jets about their axes"
-        ways = " ".join(f"--hold {name}" for name in found)
-        what = f"{_quoted('joint', found)} {turn} without limits, as rotors spin"
+        turn = "turns a jet about its axis" if len(names) == 1 else "turn jets about their axes"
+        ways = " ".join(f"--hold {name}" for name in names)
+        what = f"{_quoted('joint', names)} {turn} without limits, as rotors spin"
         return [f"{what}: expected {ways}; a rotor's moment is the last part of --jet"]
 
     def rigid(self, link: str, moving: Collection[str]) -> list[str]:
         """Return a link and those below it that no moving joint separates from it."""
-        found = [link]
-        for here in found:
-            found += [joint.child for joint in self.child_joints(here) if joint.name not in moving]
-        return found
+        links = [link]
+        for here in links:
+            links += [joint.child for joint in self.child_joints(here) if joint.name not in moving]
+        return links
 
     def points(self, boxes: Mapping[str, Box]) -> dict[str, Array]:
         """Return the origin of every link and the corners of its box (k, 3) in base axes, in the posture zero [m]."""
-        placed, found = [(self.base, IDENTITY)], {}
+        placed, by_link = [(self.base, IDENTITY)], {}
         for link, pose in placed:
             corners = boxes[link].corners if link in boxes else np.zeros((0, 3))
-            found[link] = np.vstack([np.zeros(3), corners]) @ pose.rotation.T + pose.position
+            by_link[link] = np.vstack([np.zeros(3), corners]) @ pose.rotation.T + pose.position
             placed += [(joint.child, pose @ joint.origin) for joint in self.child_joints(link)]
-        return found
+        return by_link
 
     def lowest(self, boxes: Mapping[str, Box]) -> float:
         """Return the height of the lowest of the `points` above the base [m]."""
@@ -260,33 +260,33 @@ def _groups(chains: Sequence[Sequence[Joint]]) -> list[str]:
 
 
 def _joint_entry(joint: Joint) -> str:
-    entries = {"name": joint.name, **(found := guesses(joint))}
+    entries = {"name": joint.name, **(guessed := guesses(joint))}
     line = f"    {{ {', '.join(f'{key} = {toml_value(value)}' for key, value in entries.items())} }},"
-    return f"{line}  # (?)" if found else line
+    return f"{line}  # (?)" if guessed else line
 
 
 def guesses(joint: Joint) -> dict[str, Any]:
     """Return values of what the URDF does not say of a joint, by key of the TOML file. Negative ones are refused."""
     unit, half, fast = ("", 1.0, 1.0) if joint.is_prismatic else ("_deg", 180.0, 180.0)
-    found: dict[str, Any] = {}
+    guess: dict[str, Any] = {}
     if joint.limits is None:
-        found[f"limits{unit}"] = [-half, half]
+        guess[f"limits{unit}"] = [-half, half]
     if joint.effort == 0.0 or joint.effort >= PLACEHOLDER:
-        found["torque_max"] = 100.0
+        guess["torque_max"] = 100.0
     if joint.velocity == 0.0 or joint.velocity >= PLACEHOLDER:
-        found[f"velocity_max{unit}"] = fast
-    return found
+        guess[f"velocity_max{unit}"] = fast
+    return guess
 
 
 def guessed(joints: Sequence[Joint]) -> list[str]:
     """Return a warning for each key that some joints have a guess of."""
-    found: dict[tuple[str, str], list[str]] = {}
+    alike: dict[tuple[str, str], list[str]] = {}
     for joint in joints:
         for key, value in guesses(joint).items():
-            found.setdefault((key, toml_value(value)), []).append(f"`{joint.name}`")
+            alike.setdefault((key, toml_value(value)), []).append(f"`{joint.name}`")
     return [
         f"{key} = {value} of joint {', '.join(names)} is a guess, marked (?): the URDF says nothing usable"
-        for (key, value), names in found.items()
+        for (key, value), names in alike.items()
     ]
 
 

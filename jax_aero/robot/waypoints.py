@@ -131,12 +131,12 @@ def write(path: Path, points: Waypoints, folder: Path, *, overwrite: bool = Fals
     duration = points.start + sum(motion.duration for motion in motions(points, com, forward)) + points.settling
     # Checked before samples of this duration use memory.
     rust.check_config({**config, "simulator": {**config["simulator"], "duration": duration}})
-    found = reference(points, com, forward)
-    attitude = np.tile(rpy, (len(found.times), 1))
-    attitude[:, 2] += found.heading
+    course = reference(points, com, forward)
+    attitude = np.tile(rpy, (len(course.times), 1))
+    attitude[:, 2] += course.heading
     if points.lean:
-        attitude[:, :2] += lean(found.com[2], attitude[:, 2], rust.Robot(config["robot"]).gravity)
-    rows = np.column_stack([found.times, found.com[0], attitude, *found.com[1:]])
+        attitude[:, :2] += lean(course.com[2], attitude[:, 2], rust.Robot(config["robot"]).gravity)
+    rows = np.column_stack([course.times, course.com[0], attitude, *course.com[1:]])
     mission, flight = folder / "mission.csv", folder / f"{path.stem}.toml"
     text = reference_text(rows, f"jax-aero robot waypoints {path.stem}", 10)
     with TemporaryDirectory() as draft:
@@ -196,12 +196,12 @@ class Motion(NamedTuple):
 
 def motions(points: Waypoints, com: Array, forward: Array) -> list[Motion]:
     """Return the motions of the steps from an initial state; a motion by zero takes no time."""
-    found: list[Motion] = []
+    made: list[Motion] = []
     place, heading = np.array(com, dtype=np.float64), 0.0
     for step in points.steps:
-        found.append(_motion(points, step, place, heading, com, forward))
-        place, heading = place + found[-1].shift, heading + found[-1].turn
-    return found
+        made.append(_motion(points, step, place, heading, com, forward))
+        place, heading = place + made[-1].shift, heading + made[-1].turn
+    return made
 
 
 def reference(points: Waypoints, com: Array, forward: Array) -> Reference:

@@ -103,7 +103,7 @@ def of_folder(folder: Path, named: str | None = None) -> Kept:
     )
 
 
-def benchmark(name: str, title: str, about: str, command: str, found: Mapping[str, Mapping[str, float]]) -> None:
+def benchmark(name: str, title: str, about: str, command: str, measured: Mapping[str, Mapping[str, float]]) -> None:
     """Keep what a benchmark found."""
     document = Kept(
         name=name,
@@ -114,7 +114,7 @@ def benchmark(name: str, title: str, about: str, command: str, found: Mapping[st
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         commit=_commit({"git": manifest.git_state()}),
         digest="",
-        summary=_shorten(found),
+        summary=_shorten(measured),
     )
     _write(document)
 
@@ -213,8 +213,8 @@ def _rows(
 
 def figures(flights: pd.DataFrame) -> dict[str, Any]:
     """Return what is kept of flights."""
-    found = aggregate.figures({str(name): values.to_numpy() for name, values in flights.items()})
-    return {name: found[name] for name in aggregate.KEPT}
+    every = aggregate.figures({str(name): values.to_numpy() for name, values in flights.items()})
+    return {name: every[name] for name in aggregate.KEPT}
 
 
 def first_of(flight: Mapping[str, Any]) -> list[Any]:

@@ -158,14 +158,14 @@ def read(name: str) -> Kept:
     path = FOLDER / f"{name}.json"
     if not path.is_file():
         raise Refused(f"there is no kept result `{name}`{places.did_you_mean(name, names())}")
-    found = msgspec.convert(read_json(path, Kept), Kept)
-    if found.seal != seal_of(found):
+    kept = msgspec.convert(read_json(path, Kept), Kept)
+    if kept.seal != seal_of(kept):
         raise Refused(f"{path} is not what was written there: {AGAIN}")
-    if found.rows and (missing := {*aggregate.KEPT} - {*found.columns}):
+    if kept.rows and (missing := {*aggregate.KEPT} - {*kept.columns}):
         raise Refused(f"{path} has no column `{min(missing)}`: {AGAIN}")
-    if wrong := contradiction(found):
+    if wrong := contradiction(kept):
         raise Refused(f"{path} contradicts itself, {wrong}: {AGAIN}")
-    return found
+    return kept
 
 
 def contradiction(kept: Kept) -> str:
@@ -269,8 +269,8 @@ def table_of(names: Names, rows: Sequence[Mapping[str, Value]], labels: Mapping[
         unit = next((value.unit for value in values if value.unit), "")
         if heading == name:
             heading = labels.get(name, name)
-        if found := UNIT.search(heading):
-            unit, heading = found["unit"], heading[: found.start()]
+        if match := UNIT.search(heading):
+            unit, heading = match["unit"], heading[: match.start()]
         headings.append(f"{heading} [{unit}]" if unit else heading)
         columns.append([value.text(digits, unit) for value in values])
     return headings, [list(cells) for cells in zip(*columns, strict=True)]
@@ -335,26 +335,26 @@ def rows_of(document: Kept, pooled: Set[str] = frozenset()) -> list[dict[str, An
 
 def _figures(row: Mapping[str, Any], names: Iterable[str], axes: Iterable[str]) -> dict[str, Value]:
     """Return the figures of a row, and these combinations of counts, each with its flights."""
-    found = {"flights": Value(row["flights"])}
+    cells = {"flights": Value(row["flights"])}
     for column in row.keys() - {*axes, "flights"}:
         if column == "modes":
-            found[column] = Value(" ".join(f"`{name}`" for name, bit in rust.MODES.items() if (row[column] or 0) & bit))
+            cells[column] = Value(" ".join(f"`{name}`" for name, bit in rust.MODES.items() if (row[column] or 0) & bit))
         elif column in ERRORS:
             _, unit, factor = ERRORS[column]
             unknown = UNKNOWN if column.endswith(OF_ALL) else None
-            found[column] = Value(unknown if row[column] is None else factor * row[column], unit)
+            cells[column] = Value(unknown if row[column] is None else factor * row[column], unit)
         elif column in TIMES:
-            found[column] = Value(row[column], "s")
+            cells[column] = Value(row[column], "s")
         else:
-            found[column] = Value(f"{row[column]} of {row['flights']}")
+            cells[column] = Value(f"{row[column]} of {row['flights']}")
     for name in names:
         counts = name.removeprefix("share ").split(" + ")
-        if name not in found and all(isinstance(row.get(count), int) for count in counts):
+        if name not in cells and all(isinstance(row.get(count), int) for count in counts):
             count, flights = sum(row[count] for count in counts), row["flights"]
             share, low, high = (f"{100.0 * x:.0f}" for x in (count / flights, *wilson(count, flights)))
             is_share = name.startswith("share ")
-            found[name] = Value(f"{share} % ({low} to {high})" if is_share else f"{count} of {flights}")
-    return found
+            cells[name] = Value(f"{share} % ({low} to {high})" if is_share else f"{count} of {flights}")
+    return cells
 
 
 def sweep_table(
@@ -374,7 +374,7 @@ def sweep_table(
         texts = by_heading([said] if isinstance(said, str) else said)
         chosen[name] = {one(level_of, level, f"level of {name}"): text for text, level in texts.items()}
     names = [name for name in axes if len(chosen[name]) > 1 and name != across]
-    found: dict[tuple[Any, ...], dict[Any, dict[str, Value]]] = {}
+    by_labels: dict[tuple[Any, ...], dict[Any, dict[str, Value]]] = {}
     place = {name: {level: number for number, level in enumerate(levels)} for name, levels in chosen.items()}
     whole = [name for name, levels in chosen.items() if ALL in levels]
     sums = [frozenset(names) for n in range(len(whole) + 1) for names in combinations(whole, n)]
@@ -382,18 +382,20 @@ def sweep_table(
     rows = [row for row in found_rows if all(row[name] in levels for name, levels in chosen.items())]
     for row in sorted(rows, key=lambda row: [place[name][row[name]] for name in axes]):
         figures = _figures(row, by_heading(columns).values(), axes)
-        found.setdefault(tuple(row[name] for name in names), {})[row.get(across)] = figures
-    if not found:
+        by_labels.setdefault(tuple(row[name] for name in names), {})[row.get(across)] = figures
+    if not by_labels:
         raise Refused(f"{document.name} has no such rows")
-    labels = [[chosen[name][level] for name, level in zip(names, levels, strict=True)] for levels in found]
+    labels = [[chosen[name][level] for name, level in zip(names, levels, strict=True)] for levels in by_labels]
     if not across:
-        every = [figures[None] for figures in found.values()]
+        every = [figures[None] for figures in by_labels.values()]
         headings, cells = table_of(columns, every, {column: _label(column) for column in every[0]}, digits)
     else:
         ((heading, name),) = by_heading(columns).items()
         unit = UNIT.search(heading)
         headings = list(chosen[across].values())
-        of = [[row[level][name] if level in row else Value("") for level in chosen[across]] for row in found.values()]
+        of = [
+            [row[level][name] if level in row else Value("") for level in chosen[across]] for row in by_labels.values()
+        ]
         cells = [[one.text(digits, unit["unit"] if unit else None) for one in row] for row in of]
     return [*(axes[name].label for name in names), *headings], [[*a, *b] for a, b in zip(labels, cells, strict=True)]
 
@@ -430,5 +432,5 @@ def study_table(document: Kept, columns: Names, chosen: Names, digits: int = 2) 
 
 def _unit(figure: str) -> str:
     """Return the unit that ends the name of a figure."""
-    found = UNIT.search(figure)
-    return found["unit"].translate(SIGNS).replace("degree", "°").replace("deg", "°") if found else ""
+    match = UNIT.search(figure)
+    return match["unit"].translate(SIGNS).replace("degree", "°").replace("deg", "°") if match else ""

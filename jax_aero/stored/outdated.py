@@ -72,17 +72,17 @@ def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
     config, sources = document.get("config", {}), document.get("sources")
     if sources is None:  # of trainings and CFD, whose data are no part of this project
         return other_numerics(document)
-    found = []
+    differences = []
     if kind in WITH_FILES and name in places.names(kind):
         today = plain_values.to_builtins(tables.load(places.find(kind, name), WITH_FILES[kind]))
-        found.append(_list_keys(_differing_keys(config, manifest.make_portable(today))))
+        differences.append(_list_keys(_differing_keys(config, manifest.make_portable(today))))
     for one, digest in sources["flights"].items():
         differs = _configuration(one, digest, sources.get("configurations", {}).get(one))
-        found.append(f"{one}: {differs}" if differs else "")
+        differences.append(f"{one}: {differs}" if differs else "")
     for path, digest in sources["files"].items():
         file = places.HOME / path
-        found.append(path if file.is_file() and file_hash(file) != digest else "")
-    return "; ".join(filter(None, found)) or other_numerics(document)
+        differences.append(path if file.is_file() and file_hash(file) != digest else "")
+    return "; ".join(filter(None, differences)) or other_numerics(document)
 
 
 def _configuration(name: str, digest: str | None, kept: Mapping[str, Any] | None) -> str:

@@ -49,11 +49,11 @@ def figures(flights: Mapping[str, Any]) -> dict[str, Any]:
     flown = np.asarray(flights["outcome"]) != "error"
     flights = {name: np.asarray(values)[flown] for name, values in flights.items()}
     flights["warning_time"] = np.where(np.isnan(flights["lost_time"]), np.nan, flights["warning_time"])
-    found: dict[str, Any] = {"flights": int(flown.sum()), "errors": int((~flown).sum()), **counts(flights)}
+    row: dict[str, Any] = {"flights": int(flown.sum()), "errors": int((~flown).sum()), **counts(flights)}
     for name in columns.SHARES:
-        found[f"{name}_low"], found[f"{name}_high"] = wilson(found[name], found["flights"])
-    if found["flights"] and np.isnan(flights["degraded_time"]).all():
-        found |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
+        row[f"{name}_low"], row[f"{name}_high"] = wilson(row[name], row["flights"])
+    if row["flights"] and np.isnan(flights["degraded_time"]).all():
+        row |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
     upright, lost = (np.isin(flights["outcome"], ends) for ends in (UPRIGHT, LOST))
     for column in populations.QUANTITIES:
         values = flights[column].astype(float)
@@ -65,16 +65,16 @@ def figures(flights: Mapping[str, Any]) -> dict[str, Any]:
         for population in populations.populations(column):
             ends = quantiles(of[population], populations.QUANTILES.values())
             names = [populations.quantile(column, end, population) for end in populations.QUANTILES]
-            found |= dict(zip(names, ends, strict=True))
+            row |= dict(zip(names, ends, strict=True))
     if "onset" in flights:
         degraded = flights["degraded_time"] > 0.0
-        (found["found_s"],) = quantiles((flights["nominal_until"] - flights["onset"])[degraded], [0.5])
-    (found["announced_s"],), (found["lost_s"],) = (
+        (row["found_s"],) = quantiles((flights["nominal_until"] - flights["onset"])[degraded], [0.5])
+    (row["announced_s"],), (row["lost_s"],) = (
         quantiles(flights[name][lost], [0.5]) for name in ("warning_time", "lost_time")
     )
     bits = np.nan_to_num(flights["all_modes"].astype(float)).astype(int)
-    found["modes"] = sum(bit for bit in MODES.values() if len(bits) and np.mean((bits & bit) > 0) >= 0.5)
-    return found
+    row["modes"] = sum(bit for bit in MODES.values() if len(bits) and np.mean((bits & bit) > 0) >= 0.5)
+    return row
 
 
 def counts(flights: Mapping[str, Any]) -> dict[str, int]:
@@ -98,8 +98,8 @@ def quantiles(values: Any, shares: Iterable[float]) -> list[float | None]:
     """Return quantiles of the values that are numbers, of which some may be infinite; `None` without any."""
     values, shares = values.astype(float), list(shares)
     known = values[~np.isnan(values)]
-    found: list[float | None] = intervals.quantiles(known, shares).tolist() if len(known) else [None] * len(shares)
-    return found
+    ends: list[float | None] = intervals.quantiles(known, shares).tolist() if len(known) else [None] * len(shares)
+    return ends
 
 
 def with_intervals(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -118,7 +118,7 @@ def pool(rows: Iterable[Mapping[str, Any]], times: int = 1) -> dict[str, Any]:
     rows = list(rows)
     if len(rows) == 1:
         return {name: rows[0][name] for name in KEPT}
-    found: dict[str, Any] = dict.fromkeys(KEPT) | {name: sum(row[name] for row in rows) // times for name in COUNTS}
+    pooled: dict[str, Any] = dict.fromkeys(KEPT) | {name: sum(row[name] for row in rows) // times for name in COUNTS}
     for name in (name for name in KEPT if "_worst_" in name):
-        found[name] = max((row[name] for row in rows if row[name] is not None), default=None)
-    return found
+        pooled[name] = max((row[name] for row in rows if row[name] is not None), default=None)
+    return pooled

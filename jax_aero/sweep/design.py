@@ -237,8 +237,8 @@ def unit_points(design: str, dimensions: int, samples: int, seed: int) -> Sequen
         points = sampler.random_base2(max(0, (samples - 1).bit_length()))[:samples]
     else:
         points = qmc.LatinHypercube(dimensions, rng=seed).random(samples)
-    found: list[list[float]] = points.tolist()
-    return found
+    coordinates: list[list[float]] = points.tolist()
+    return coordinates
 
 
 @cache

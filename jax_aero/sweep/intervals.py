@@ -26,8 +26,8 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
     if trials == 0:
         return 0.0, 1.0
-    found = binomtest(int(successes), int(trials)).proportion_ci(0.95, "wilson")
-    return float(found.low), float(found.high)
+    interval = binomtest(int(successes), int(trials)).proportion_ci(0.95, "wilson")
+    return float(interval.low), float(interval.high)
 
 
 SHARE = "completed or landed [%], Wilson 95 %"
@@ -71,9 +71,9 @@ def quantiles(values: NDArray[np.float64], shares: Sequence[float], axis: int | 
     >>> quantiles(np.array([1.0, 2.0, 3.0, np.inf]), [0.5, 0.9])
     array([2.5, inf])
     """
-    found = np.quantile(np.clip(values, -BEYOND, BEYOND), shares, axis=axis)
+    clipped = np.quantile(np.clip(values, -BEYOND, BEYOND), shares, axis=axis)
     # A share of the way from a number to `BEYOND` is greater than any number of a flight.
-    return np.where(abs(found) > 1e-9 * BEYOND, np.copysign(np.inf, found), found)
+    return np.where(abs(clipped) > 1e-9 * BEYOND, np.copysign(np.inf, clipped), clipped)
 
 
 def bootstrap(values: NDArray[np.float64]) -> Interval:

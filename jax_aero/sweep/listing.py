@@ -32,19 +32,19 @@ def of_cells(cells: pd.DataFrame, labels: Labels) -> Rows:
     columns += [(SHARE, _intervals(shares, ".0f"))]
     for heading, (error, factor) in ERRORS.items():
         names = [quantile(error, end, OF_ALL) for end in ("median", "p10", "p90")]
-        found = factor * cells[names].astype(float)
-        columns += [(heading, _intervals(found.to_numpy(), ".2f"))]
+        values = factor * cells[names].astype(float)
+        columns += [(heading, _intervals(values.to_numpy(), ".2f"))]
     return _rows(columns)
 
 
-def of_pairs(found: pd.DataFrame, labels: Labels) -> Rows:
+def of_pairs(differences: pd.DataFrame, labels: Labels) -> Rows:
     """Return the differences of `paired.differences`, each column of them after the number of pairs that it is of."""
-    columns = [(labels[name], _levels(found[name])) for name in found if name in labels]
-    columns += [(heading, _levels(found[name])) for name, heading in COUNTS.items()]
+    columns = [(labels[name], _levels(differences[name])) for name in differences if name in labels]
+    columns += [(heading, _levels(differences[name])) for name, heading in COUNTS.items()]
     for name, heading in COLUMNS.items():
-        values = found[[name, f"{name}_low", f"{name}_high"]].to_numpy()
+        values = differences[[name, f"{name}_low", f"{name}_high"]].to_numpy()
         if name in OF_UPRIGHT:
-            columns += [("of pairs", _levels(found[f"{name}_pairs"]))]
+            columns += [("of pairs", _levels(differences[f"{name}_pairs"]))]
         columns += [(heading, _intervals(values, "+.1f" if name == "share" else "+.2f"))]
     return _rows(columns)
 

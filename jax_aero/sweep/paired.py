@@ -64,17 +64,17 @@ def differences(flights: pd.DataFrame, axes: list[str], axis: str) -> pd.DataFra
 
 def _difference(pairs: pd.DataFrame) -> Iterator[tuple[str, Any]]:
     before, after = (pairs[name].isin(UPRIGHT).to_numpy() for name in ("outcome", "outcome_2"))
-    found = {"share": [100.0 * x for x in newcombe(after, before)]}
+    intervals = {"share": [100.0 * x for x in newcombe(after, before)]}
     numbers = {"pairs": len(pairs)}
     for name, which in (("before", after & ~before), ("after", before & ~after), ("both", ~before & ~after)):
         numbers[f"lost_{name}"] = int(which.sum())
     for name, (figure, factor) in ERRORS.items():
         change = factor * (pairs[f"{figure}_2"] - pairs[figure]).to_numpy(dtype=float)
         ranked = np.select([before & after, before, after], [change, np.inf, -np.inf], 0.0)
-        found[name] = list(bootstrap(ranked[~np.isnan(ranked)]))
+        intervals[name] = list(bootstrap(ranked[~np.isnan(ranked)]))
         of_both = change[before & after & np.isfinite(change)]
-        found[f"{name}_of_upright"] = list(bootstrap(of_both))
+        intervals[f"{name}_of_upright"] = list(bootstrap(of_both))
         numbers[f"{name}_of_upright_pairs"] = len(of_both)
     yield from numbers.items()
-    for name, interval in found.items():
+    for name, interval in intervals.items():
         yield from zip((name, f"{name}_low", f"{name}_high"), interval, strict=True)

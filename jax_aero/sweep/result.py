@@ -86,10 +86,10 @@ class SweepResult:
 
     def cell(self, **labels: object) -> dict[str, Any]:
         """Return the only cell with these levels; `KeyError` if there is none, as in a sweep of other levels."""
-        found = self.select(**labels)
-        if not found:
+        cells = self.select(**labels)
+        if not cells:
             raise KeyError(", ".join(f"{name} = {label}" for name, label in labels.items()))
-        (cell,) = found
+        (cell,) = cells
         return cell
 
     def levels(self, axis: str) -> list[Any]:

@@ -140,16 +140,16 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
     repeats = min(before["repeats"], design.spec.repeats) if before else design.spec.repeats
     is_continued, form = repeats < design.spec.repeats, documents.FinishedSweep
     identity = identity_of(design, repeats)
-    found = record.find_existing(folder, identity, form, overwrite=overwrite, quiet=is_continued)
-    if found is not None and not is_continued:
+    existing = record.find_existing(folder, identity, form, overwrite=overwrite, quiet=is_continued)
+    if existing is not None and not is_continued:
         work.clear()  # in case a process was killed before this
-        if found != (shown_anew := found | {key: document[key] for key in PRESENTATION}):
+        if existing != (shown_anew := existing | {key: document[key] for key in PRESENTATION}):
             write_json(folder / SWEEP_FILE, shown_anew)
         return
     design.check()
     backends.backend(design.spec.backend)
     parts = dict(_read_parts(work, design.n_rows))
-    if found is not None:
+    if existing is not None:
         whole = read_table(folder / TABLES[0])
         parts[range(whole.num_rows)] = whole
     missing = design.missing(sorted(parts, key=lambda rows: rows.start))

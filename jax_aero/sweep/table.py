@@ -77,8 +77,8 @@ def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
     for cell, chosen in enumerate(levels):
         record: dict[str, Any] = {"cell": cell}
         record |= {axis.name: level.label for axis, level in zip(spec.axes, chosen, strict=True)}
-        found = aggregate.figures({name: values[cell :: len(levels)] for name, values in flights.items()})
-        records.append(record | {name: found[name] for name in columns.CELLS if name != "cell"})
+        figures = aggregate.figures({name: values[cell :: len(levels)] for name, values in flights.items()})
+        records.append(record | {name: figures[name] for name in columns.CELLS if name != "cell"})
     first, *others = columns.fields(columns.CELLS)
     return pa.Table.from_pylist(records, pa.schema([first, *_axes(spec, levels), *others]))
 

@@ -69,12 +69,12 @@ def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
     """Return all pairs of a jet's exhaust with an aerodynamic link other than its own turbine, or with a sole."""
     robot = tree.robot
     soles = {sole: under(tree, sole) for sole in robot.soles}
-    found = []
+    every = []
     for jet in robot.jets:
         plume = exhaust(tree, jet, plume_length)
         links = {link.name: around(tree, link) for link in robot.aero_links if link.frame != jet.frame}
-        found += [Pair(jet.name, name, plume.distance(capsule)) for name, capsule in (links | soles).items()]
-    return found
+        every += [Pair(jet.name, name, plume.distance(capsule)) for name, capsule in (links | soles).items()]
+    return every
 
 
 def kept_apart(tree: Kinematics, clearance: Mapping[str, Any]) -> SX:

@@ -24,17 +24,17 @@ def baseline_errors(robot: RobotModel, training: Dataset, validation: Dataset) -
     joints (degrees / 180); `linear` is a least-squares map from the same 22 numbers.
     """
     sets = [name for name in AXISYMMETRIC if name in robot.aero_links.coefficients]
-    found = {f"axisymmetric, {name}": _axisymmetric(robot, name, validation) for name in sets}
+    errors = {f"axisymmetric, {name}": _axisymmetric(robot, name, validation) for name in sets}
     x, y = _inputs_and_targets(training)
     x_new, y_new = _inputs_and_targets(validation)
     distance, index = KDTree(x).query(x_new, k=NEIGHBOURS)
     weight = 1.0 / (distance + 1e-6)
     nearest = (y[index] * weight[..., None]).sum(axis=1) / weight.sum(axis=1, keepdims=True)
-    found["nearest"] = mean_square(nearest - y_new)
+    errors["nearest"] = mean_square(nearest - y_new)
     ones = np.ones((len(x), 1))
     solution = np.linalg.lstsq(np.hstack([x, ones]), y, rcond=None)[0]
     linear = np.hstack([x_new, np.ones((len(x_new), 1))]) @ solution
-    return found | {"linear": mean_square(linear - y_new)}
+    return errors | {"linear": mean_square(linear - y_new)}
 
 
 def _inputs_and_targets(dataset: Dataset) -> tuple[Floats, Floats]:

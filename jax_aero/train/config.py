@@ -103,8 +103,8 @@ class Training(tables.Table, frozen=True):
         if (name := self.network.baseline) not in known:
             raise ConfigError.of("network.baseline", name, f"one of {', '.join(known)}")
         if (self.ensemble.keep == "student") != (self.distillation is not None):
-            found = "given" if self.distillation else "absent"
-            raise ConfigError.of("distillation", found, "a table with `ensemble.keep = student`, and only there")
+            stated = "given" if self.distillation else "absent"
+            raise ConfigError.of("distillation", stated, "a table with `ensemble.keep = student`, and only there")
 
     @property
     def robot_model(self) -> RobotModel:

@@ -68,8 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder = resolve(given.out or places.RESULTS / "training" / "ensemble")
         with lock_work(folder):
             base = study.find("training", given.base)
-            found = run(given.dataset, base, given.epochs, folder, given.write, overwrite=given.overwrite)
-        print(study.listing(found["summary"]))
+            manifest = run(given.dataset, base, given.epochs, folder, given.write, overwrite=given.overwrite)
+        print(study.listing(manifest["summary"]))
 
     return exit_status(work, interrupted="the same command goes on where this one stopped")
 
@@ -100,17 +100,17 @@ def run(
             predicted[number, held_out] = kept.state
     totals = [total_wrench(robot, dataset.joint_position(robot), areas.astype(np.float64)) for areas in predicted]
     truth = total_wrench(robot, dataset.joint_position(robot), dataset.force_area_b)
-    found = {
+    calibration = {
         name: intervals(np.stack([getattr(one, key) for one in totals]), getattr(truth, key), dataset.family)
         for name, key in (("force", "force_area"), ("moment", "moment_volume"))
     }
     arms = link_arms(robot, dataset.joint_position(robot))
-    summary = summarise(predicted, dataset, found)
+    summary = summarise(predicted, dataset, calibration)
     summary["links: half width of factors that widen the draws"] = link_half_width(
-        found["moment"], np.cross(arms, dataset.force_area_b)
+        calibration["moment"], np.cross(arms, dataset.force_area_b)
     )
     if write is not None:
-        write_members(write, trainings, dataset, found, summary, path.name)
+        write_members(write, trainings, dataset, calibration, summary, path.name)
     data = to_dataset(dataset, totals, truth, identity.digest)
     settings = {"members": [dict(one) for one in MEMBERS], "epochs": epochs, "folds": FOLDS}
     document = manifest.build(
@@ -203,7 +203,7 @@ def link_half_width(moment: Mapping[str, float], of_links: Floats) -> float:
     return float(np.sqrt(3.0 * max(missing, 0.0) / np.mean(np.sum(of_links**2, axis=(1, 2)))))
 
 
-def summarise(predicted: Any, dataset: Dataset, found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+def summarise(predicted: Any, dataset: Dataset, intervals: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     """Return the figures of a card: errors on unseen postures, and coverage of the intervals."""
     mean = predicted.mean(axis=0) - dataset.force_area_b
     single = [float(np.mean((one - dataset.force_area_b) ** 2)) for one in predicted]
@@ -213,7 +213,7 @@ def summarise(predicted: Any, dataset: Dataset, found: Mapping[str, Mapping[str,
         "links, worst single network [m4]": max(single),
     }
     for name, unit in (("force", "m2"), ("moment", "m3")):
-        one = found[name]
+        one = intervals[name]
         summary |= {
             f"total {name}: rms error of the mean [{unit}]": one["rms"],
             f"total {name}: conformal factor": one["factor"],
@@ -230,7 +230,7 @@ def write_members(
     folder: Path,
     trainings: Sequence[config.Training],
     dataset: Dataset,
-    found: Mapping[str, Any],
+    intervals: Mapping[str, Any],
     summary: Mapping[str, float],
     source: str,
 ) -> None:
@@ -261,8 +261,8 @@ def write_members(
         "interval": "|error| <= factor sqrt(spread^2 + spread_rms^2); spread: standard deviation of the members, "
         "all axes",
         "coverage_aimed_at": COVERAGE,
-        "force_m2": found["force"],
-        "moment_about_com_m3": found["moment"],
+        "force_m2": intervals["force"],
+        "moment_about_com_m3": intervals["moment"],
         "unseen_postures": dict(summary),
         "dataset_sha256": dataset.sha256,
     }

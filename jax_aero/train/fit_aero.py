@@ -111,8 +111,8 @@ def total_errors(robot: RobotModel, areas: Floats, truth: Dataset) -> Errors:
     drag = np.sum(wrench.force_area * truth.wind_b, axis=1, keepdims=True)
     mean = np.mean(np.sum(truth.force_area_b.sum(axis=1) * truth.wind_b, axis=1))
     off = [drag / mean, wrench.force_area[:, 1:2], wrench.force_area - drag * truth.wind_b, NEWTON_METRES * moment]
-    found = [np.array([vector_rms(one), *interval_by_posture(one, truth.family)]) for one in off]
-    return Errors(*found)
+    rows = [np.array([vector_rms(one), *interval_by_posture(one, truth.family)]) for one in off]
+    return Errors(*rows)
 
 
 ERRORS = {
@@ -128,8 +128,8 @@ def error_figures(errors: Mapping[str, Errors]) -> dict[str, float]:
     """Return the errors of totals and the ends of their intervals."""
     return {
         f"{variant}: {ERRORS[name]}{end}": float(value)
-        for variant, found in errors.items()
-        for name, values in found._asdict().items()
+        for variant, error in errors.items()
+        for name, values in error._asdict().items()
         for end, value in zip(("", ", 2.5 %", ", 97.5 %"), values, strict=True)
     }
 
@@ -138,9 +138,9 @@ def error_report(errors: Mapping[str, Errors]) -> str:
     """Return the printed table of errors of totals."""
     lines = ["whole robot, rms error (95 % interval over postures)"]
     lines.append(f"{'variant':<28} {'drag [%]':>18} {'lateral [m2]':>24} {'across [m2]':>24} {'moment [N m]':>20}")
-    for name, found in errors.items():
+    for name, error in errors.items():
         cells = []
-        for values, digits, width in zip((100 * found.drag, *found[1:]), (1, 4, 4, 2), (18, 24, 24, 20), strict=True):
+        for values, digits, width in zip((100 * error.drag, *error[1:]), (1, 4, 4, 2), (18, 24, 24, 20), strict=True):
             value, low, high = (f"{number:.{digits}f}" for number in values)
             cells.append(f"{value} ({low}, {high})".rjust(width))
         lines.append(f"{name:<28} " + " ".join(cells))
@@ -149,14 +149,14 @@ def error_report(errors: Mapping[str, Errors]) -> str:
 
 def figures(quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit]) -> dict[str, float]:
     """Return the figures of the comparison."""
-    found: dict[str, float] = {}
+    rows: dict[str, float] = {}
     for variant, measure in quality.items():
-        found[f"{variant}: link mean square error [m4]"] = measure.mse
-        found[f"{variant}: R2"] = measure.r2
+        rows[f"{variant}: link mean square error [m4]"] = measure.mse
+        rows[f"{variant}: R2"] = measure.r2
     for family, kept in fits.items():
-        found[f"{family}: w5 signed [m2]"] = kept.cna
-        found[f"{family}: w5 of the magnitude [m2]"] = kept.cna_of_magnitude
-    return found
+        rows[f"{family}: w5 signed [m2]"] = kept.cna
+        rows[f"{family}: w5 of the magnitude [m2]"] = kept.cna_of_magnitude
+    return rows
 
 
 def report(quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit]) -> str:

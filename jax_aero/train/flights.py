@@ -93,14 +93,14 @@ class Flight(NamedTuple):
 
 def observing(config: rust.Config) -> rust.Config:
     """Return a configuration whose controller observes the whole wrench of the air: without a model of it."""
-    found = copy.deepcopy(dict(config))
-    controller = found["controller"]
+    observed = copy.deepcopy(dict(config))
+    controller = observed["controller"]
     if controller.get("wind_observer"):
         raise Refused("the controller's wind is estimated, not measured (`controller.wind_observer`)")
     controller["aero"] = {"model": "off"}
     if not controller.get("disturbance_observer"):
         controller["disturbance_observer"] = {"gain_force": GAIN, "gain_moment": GAIN} | LIMITS
-    return rust.resolve_config(found)
+    return rust.resolve_config(observed)
 
 
 def read(path: Path, mapping: Path | None, config: rust.Config, robot: RobotModel, air_density: float) -> Flight:
@@ -208,9 +208,9 @@ def _check_size(flight: Flight, robot: RobotModel, weight: float) -> None:
     rows = np.flatnonzero(flight.is_valid)[:: max(1, round(0.2 / flight.step))]
     geometry, arms = geometry_of(robot, flight.joints[rows])
     usual = baseline_wrench(np.asarray(next(iter(sets.values()))), flight, rows, geometry.axes, arms)[:, :3]
-    usual, found = usual - usual.mean(axis=0), flight.wrench[rows, :3] - flight.wrench[rows, :3].mean(axis=0)
-    along = float(np.sum(usual * found))
-    alike = along / (np.linalg.norm(usual) * np.linalg.norm(found) + 1e-9)
+    usual, measured = usual - usual.mean(axis=0), flight.wrench[rows, :3] - flight.wrench[rows, :3].mean(axis=0)
+    along = float(np.sum(usual * measured))
+    alike = along / (np.linalg.norm(usual) * np.linalg.norm(measured) + 1e-9)
     factor = along / (float(np.sum(usual**2)) + 1e-9)
     if alike > ALIKE and not 1.0 / SCALE_MOST < factor < SCALE_MOST:
         what = f"the force in `{flight.name}` is {factor:.2g} times that of the robot's coefficients in `raw_wind`"
@@ -234,8 +234,8 @@ def geometry_of(robot: RobotModel, joints: Float[np.ndarray, "k n"]) -> tuple[Li
     parts = []
     with jax.enable_x64(True):
         for count, (rows,) in chunks(joints):
-            found, com = jax.tree.map(lambda leaf, count=count: np.asarray(leaf)[:count], _geometries(robot, rows))
-            parts.append((found, found.centres - com[:, None]))
+            geometry, com = jax.tree.map(lambda leaf, count=count: np.asarray(leaf)[:count], _geometries(robot, rows))
+            parts.append((geometry, geometry.centres - com[:, None]))
     whole: tuple[LinkGeometry, Any] = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return whole
 
@@ -251,8 +251,8 @@ def baseline_wrench(
 
     `axes` and `arms` (k, L, 3) are those of `geometry_of` in these ticks.
     """
-    found = _wrenches(coefficients, flight.air[rows], flight.pressure[rows], axes, arms, flight.turn[rows])
-    return np.asarray(found, np.float64)
+    wrenches = _wrenches(coefficients, flight.air[rows], flight.pressure[rows], axes, arms, flight.turn[rows])
+    return np.asarray(wrenches, np.float64)
 
 
 @jax.jit
@@ -308,8 +308,8 @@ def network_wrench(
 ) -> Float[np.ndarray, "k 6"]:
     """Return the wrench that a network says in some ticks, inertial axes [N, N m]."""
     x, turn, pressure, unit, rotations, axes, arms, _ = _rows(flight, rows, network, robot)
-    found = _wrenches_of(network, x[:, 0], unit, rotations, axes, arms, turn, pressure)
-    return np.asarray(found, np.float64)
+    wrenches = _wrenches_of(network, x[:, 0], unit, rotations, axes, arms, turn, pressure)
+    return np.asarray(wrenches, np.float64)
 
 
 @jax.jit
@@ -327,8 +327,8 @@ def features_of(
     network: Network, air: Float[np.ndarray, "k 3"], joints: Float[np.ndarray, "k n"], geometry: LinkGeometry
 ) -> tuple[Float[np.ndarray, "k copies x"], Float[np.ndarray, "k 3"]]:
     """Return the features of rows, with those of their mirror images for a symmetric network, and unit winds."""
-    found, unit = _features(network.blocks, air, joints[:, list(network.joints)], geometry)
-    x = np.asarray(found, np.float32)
+    features, unit = _features(network.blocks, air, joints[:, list(network.joints)], geometry)
+    x = np.asarray(features, np.float32)
     copies = [x] if network.mirror is None else [x, x @ np.asarray(network.mirror.features, np.float32).T]
     return np.stack(copies, axis=1), np.asarray(unit)
 

@@ -189,12 +189,12 @@ def run(given: argparse.Namespace) -> None:
     digest = digest_of(every)
     identity = Identity.of({"settings": table, "flights": digest}, [Path(config["robot"])])
     with lock_work(folder):
-        found = record.find_existing(folder, identity, documents.Manifest, overwrite=given.overwrite)
-        if found is None:
-            found = _train(given, settings, table, identity, every, robot, folder, digest)
+        trained = record.find_existing(folder, identity, documents.Manifest, overwrite=given.overwrite)
+        if trained is None:
+            trained = _train(given, settings, table, identity, every, robot, folder, digest)
     if given.write:
         copy_card(folder / f"{folder.name}.json", given.write)
-    print(report(found["summary"]))
+    print(report(trained["summary"]))
     print(f"{manifest.make_portable(folder)}: {folder.name}.json, refit.json")
 
 
@@ -203,7 +203,7 @@ def read_logs(
 ) -> tuple[rust.Config, list[Flight]]:
     """Return the configuration of the robot, and what logs hold of the air; refuse those of different robots."""
     named = None if experiment is None else rust.load_config(experiment)
-    first, found = named, []
+    first, flights = named, []
     for path in paths:
         own = None if path.suffix.lower() in logs.FORMATS and named else logs.read(path, named, mapping, None).config
         config = dict(named or own or {})
@@ -213,11 +213,11 @@ def read_logs(
         expected = str(Path(robot_file or first["robot"]).resolve())
         _check_robot(path, own, expected)
         config["robot"] = expected
-        found.append(observed.read(path, mapping, config, load_robot(expected), air_density))
+        flights.append(observed.read(path, mapping, config, load_robot(expected), air_density))
     assert first is not None  # there is at least one log
-    if len({(flight.gain, flight.step) for flight in found}) > 1:
+    if len({(flight.gain, flight.step) for flight in flights}) > 1:
         raise Refused("logs have observers of different gains or periods; expected one, or --experiment NAME")
-    return {**first, "robot": str(Path(robot_file or first["robot"]).resolve())}, found
+    return {**first, "robot": str(Path(robot_file or first["robot"]).resolve())}, flights
 
 
 def _check_robot(path: Path, own: rust.Config | None, expected: str) -> None:
@@ -255,7 +255,7 @@ def learn(
     training = windows([flight for number, flight in enumerate(every) if number not in held_out])
     judging = windows([every[number] for number in held_out]) if held_out else None
     batch = min(settings.training.batch or len(training.x), len(training.x))
-    found = []
+    members = []
     for member in range(settings.members):
         seed = settings.seed + member
 
@@ -265,7 +265,7 @@ def learn(
                 bar.set_postfix(shown, refresh=False)
                 bar.update(member * settings.training.epochs + epoch - bar.n)
 
-        found.append(
+        members.append(
             fit(
                 settings.start(robot, seed),
                 training,
@@ -283,11 +283,11 @@ def learn(
     models = {"nothing": zero} | {name: np.asarray(rows) for name, rows in sets.items()}
     models |= {"refit": refit.refit(robot, training, objective, begin)}
     seen = training if judging is None else judging
-    network = mean_of([one.network for one in found])
+    network = mean_of([one.network for one in members])
     left = {name: refit.left(rows, seen, objective) for name, rows in models.items()}
     left["learnt"] = objective.evaluate(network, seen)
     errors = {name: objective.rms(one, seen) for name, one in left.items()}
-    return Learnt(network, refit.as_network(robot, models["refit"]), found, held_out, errors)
+    return Learnt(network, refit.as_network(robot, models["refit"]), members, held_out, errors)
 
 
 def _train(

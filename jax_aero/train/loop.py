@@ -198,9 +198,9 @@ def fit(
         network = objective.scaled(network, training)
     digest = _digest(network, training, validation, settings, seed, objective)
     now = _Now(_State(network.layers, adam_start(network.layers)), 0, ())
-    if checkpoint is not None and (found := load_checkpoint(checkpoint, digest, now.state)):
-        curves = tuple((row[0], row[1], row[2]) for row in found.facts["curves"])
-        now = _Now(found.state, found.facts["epoch"], curves)
+    if checkpoint is not None and (stored := load_checkpoint(checkpoint, digest, now.state)):
+        curves = tuple((row[0], row[1], row[2]) for row in stored.facts["curves"])
+        now = _Now(stored.state, stored.facts["epoch"], curves)
     data = (jnp.asarray(training.x), *objective.given(network, training))
     noise = _noise(network, settings)
     run = functools.partial(_epoch, settings, objective, network.activation, batch)

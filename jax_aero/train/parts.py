@@ -96,7 +96,7 @@ def run(
 
     def fit_part(name: str, samples: Samples, settings: Settings, seed: int) -> FitResult:
         nonlocal before
-        found = fit(
+        fitted = fit(
             training.start(seed),
             samples,
             unseen,
@@ -106,14 +106,14 @@ def run(
             on_epoch=lambda epoch, *losses: on_epoch(before + epoch, *losses),
         )
         before += settings.epochs
-        curves[f"{part.name}-{name}"] = [list(row) for row in found.curves]
-        return found
+        curves[f"{part.name}-{name}"] = [list(row) for row in fitted.curves]
+        return fitted
 
-    found = [
+    fitted = [
         fit_part(f"member-{member}", samples, training.training, first + member)
         for member in range(training.ensemble.members)
     ]
-    members = [one.network for one in found]
+    members = [one.network for one in fitted]
     network = mean_of(members)
     if (how := training.distillation) is not None:
         taught = distil_samples(
@@ -123,7 +123,7 @@ def run(
     errors: dict[str, Any] = {
         "train_mse": mean_square(predict_areas(network, robot, rows) - rows.force_area_b),
         "seconds": time.perf_counter() - started,
-        "seconds_per_epoch": float(np.median([one.seconds_per_epoch for one in found])),
+        "seconds_per_epoch": float(np.median([one.seconds_per_epoch for one in fitted])),
         "rows": len(rows),
         "held_out": len(held_out),
     }
@@ -172,5 +172,5 @@ def keep(work: Work, finished: FinishedPart) -> None:
 
 def recall(work: Work, part: Part) -> FinishedPart | None:
     """Return a part that was finished earlier, or `None`."""
-    found = load_checkpoint(work.path(part.name), work.seal_of(part.name), 0)
-    return FinishedPart(part, areas=np.asarray(found.state), **found.facts) if found else None
+    stored = load_checkpoint(work.path(part.name), work.seal_of(part.name), 0)
+    return FinishedPart(part, areas=np.asarray(stored.state), **stored.facts) if stored else None

@@ -206,12 +206,12 @@ def warm_start(card: PolicyResidual, network: Perceptron, names: Sequence[str] =
     """
     policy = card.policy
     widths = tuple(layer.bias.size for layer in policy.hidden)
-    for name, found, expected in (
+    for name, actual, expected in (
         ("features", tuple(card.features), tuple(names)),
         ("architecture.hidden", widths, network.hidden),
     ):
-        if found != expected:
-            raise ValueError(f"`{name}` of the card is {list(found)}; expected {list(expected)}")
+        if actual != expected:
+            raise ValueError(f"`{name}` of the card is {list(actual)}; expected {list(expected)}")
     sizes = _sizes(names, card.jets, policy.output.bias.size)
     ratio = np.repeat(np.asarray(card.scale), sizes) / network.scale
     if policy.hidden:
@@ -366,8 +366,8 @@ class Trainer:
         state = self._start(key)
         if start is not None:
             state = replace(state, parameters=jax.tree.map(jnp.asarray, start))
-        if checkpoint is not None and (found := load_checkpoint(checkpoint, digest, state)):
-            state, rows = found.state, [Row(*row) for row in found.facts["rows"]]
+        if checkpoint is not None and (stored := load_checkpoint(checkpoint, digest, state)):
+            state, rows = stored.state, [Row(*row) for row in stored.facts["rows"]]
         with progress_bar("step", f"seed {seed}", delay=0) as show:
             for number in range(len(rows), self.steps):
                 show(number, self.steps)  # before the first step, which compiles for minutes

@@ -47,8 +47,8 @@ def refit(
         right -= np.einsum("tac,ta->c", raw, e)
     prior = objective.rows_per_observation / objective.area**2
     change = np.linalg.solve(normal + prior * np.eye(count), right)
-    found: Float[np.ndarray, "L 6"] = np.asarray(start) + np.einsum("c,clt->lt", change, units)
-    return found
+    coefficients: Float[np.ndarray, "L 6"] = np.asarray(start) + np.einsum("c,clt->lt", change, units)
+    return coefficients
 
 
 def as_network(robot: RobotModel, coefficients: Float[np.ndarray, "L 6"]) -> Network:

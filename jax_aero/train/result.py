@@ -46,9 +46,9 @@ def training_of(name: str) -> Path:
 def held_out_network(name: str, data: Dataset) -> Floats | None:
     """Return the force areas (N, links, 3) that `train NAME` predicted for postures held out, if it was run."""
     path = training_of(name)
-    if (found := record.read_manifest(path.parent)) is None:
+    if (manifest := record.read_manifest(path.parent)) is None:
         return None
-    if found.get("dataset") not in (data.sha256, data.add_mirror_images().sha256):
+    if manifest.get("dataset") not in (data.sha256, data.add_mirror_images().sha256):
         raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
     run = run_file.read(path)
     return np.asarray(run["area_grouped"].values[run["is_mirrored"].values == 0], dtype=np.float64)
@@ -59,7 +59,7 @@ def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str], links:
 
     Settings that were chosen by looking at some postures are also judged on the other ones: `elsewhere_mse`.
     """
-    found: dict[str, Any] = {}
+    by_split: dict[str, Any] = {}
     for split in ("random", "grouped"):
         here = [one for one in finished if one.part.split == split]
         if not here:
@@ -70,7 +70,7 @@ def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str], links:
         def mean(values: Sequence[float], weights: Any = weights) -> float:
             return float(np.average(values, weights=weights))
 
-        found[split] = {
+        by_split[split] = {
             "mse": mean([one.errors["mse"] for one in here]),
             "folds": len(here),
             "fold_std": float(folds.std(ddof=1)) if len(here) > 1 else None,
@@ -97,9 +97,9 @@ def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str], links:
             }
             means = {name: float(np.mean(values)) for name, values in rows.items()}
             others = [value for name, value in means.items() if name not in chosen_on]
-            found[split]["by_posture"] = means
-            found[split]["elsewhere_mse"] = float(np.mean(others)) if chosen_on and others else None
-    return found
+            by_split[split]["by_posture"] = means
+            by_split[split]["elsewhere_mse"] = float(np.mean(others)) if chosen_on and others else None
+    return by_split
 
 
 def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[FinishedPart], title: str) -> xr.Dataset:
@@ -167,8 +167,8 @@ def card_facts(
     """Return the facts about the training for a card, without any about this machine."""
     baselines = {split: errors[split]["baselines"] for split in errors}
     plain = {
-        split: {key: value for key, value in found.items() if key not in ("baselines", "by_link")}
-        for split, found in errors.items()
+        split: {key: value for key, value in error.items() if key not in ("baselines", "by_link")}
+        for split, error in errors.items()
     }
     source_text = " ".join([*dataset.provenance, *dataset.provenance.values()]).lower()
     return {

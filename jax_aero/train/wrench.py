@@ -135,8 +135,8 @@ class ObservedWrenches:
 
     def error(self, network: Network, validation: Windows) -> float:
         """Return the mean square of the errors of a network as it flies, in standard deviations."""
-        found = self.evaluate(network, validation)
-        return float(np.sum(np.asarray(found.of_rows) ** 2) / max(6.0 * float(validation.weight.sum()), 1.0))
+        errors = self.evaluate(network, validation)
+        return float(np.sum(np.asarray(errors.of_rows) ** 2) / max(6.0 * float(validation.weight.sum()), 1.0))
 
     # --- evaluation ---
 
@@ -249,10 +249,10 @@ def windows_of(
     length = min(length, count)
     number = max(1, int(np.ceil(count / length - 0.1)))
     starts = np.unique(np.linspace(0, count - length, number).round().astype(int))
-    found = []
+    windows = []
     for start in starts.tolist():
         here = slice(start, start + length)
         is_wrong = np.concatenate([np.ones(settling, dtype=bool), ~is_valid[here]])
         near = np.convolve(is_wrong, np.ones(settling + 1), mode="full")[settling : settling + length]
-        found.append((here, (near < 0.5).astype(np.float64)))
-    return found
+        windows.append((here, (near < 0.5).astype(np.float64)))
+    return windows

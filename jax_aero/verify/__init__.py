@@ -97,7 +97,7 @@ def merge(rows: Iterable[Row]) -> list[Row]:
     of: dict[str, list[Row]] = {}
     for row in rows:
         of.setdefault(row.quantity, []).append(row)
-    worst = (max(found, key=lambda row: (not row.agrees, row.relative)) for found in of.values())
+    worst = (max(alike, key=lambda row: (not row.agrees, row.relative)) for alike in of.values())
     return [replace(row, samples=sum(each.samples for each in of[row.quantity])) for row in worst]
 
 

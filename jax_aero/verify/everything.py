@@ -123,8 +123,8 @@ def verify_setpoint(config: Mapping[str, Any]) -> list[Row]:
         return jax.lax.scan(tick, setpoint.start(params, jnp.asarray(begin), jnp.asarray(turn)), times)[1]
 
     theirs = rust.setpoint_trajectory(config, begin, turn)
-    found = follow(law.time_step * np.arange(len(theirs["raw_rpy"])))
-    return [compare("setpoint", name, found[name], rows, KERNEL_TOLERANCE) for name, rows in theirs.items()]
+    ours = follow(law.time_step * np.arange(len(theirs["raw_rpy"])))
+    return [compare("setpoint", name, ours[name], rows, KERNEL_TOLERANCE) for name, rows in theirs.items()]
 
 
 def verify_winds() -> list[Row]:

@@ -162,8 +162,8 @@ def verify_astray(config: Mapping[str, Any], scenario: Scenario, start: FlightSt
         with jax.enable_x64(True):
             flown = list(fly_sections(scenario, start, crate))
         twin = join(crate, flown)
-        found = compare_ticks(crate, twin, replay_rounded(config, crate, twin), "astray")[1]
-        rows += [row for row in found if not row.quantity.startswith("raw_")]  # not what its own sensors measure
+        compared = compare_ticks(crate, twin, replay_rounded(config, crate, twin), "astray")[1]
+        rows += [row for row in compared if not row.quantity.startswith("raw_")]  # not what its own sensors measure
         sections += flown[: -(-ticks_unguarded(crate) // SECTION)]
     return sections, merge(rows)
 
@@ -242,9 +242,9 @@ def _fly_ticks(
     @jax.jit
     def fly_tick(state: FlightState, place: Array) -> tuple[FlightState, FlightRow]:
         now: Logged = jax.tree.map(lambda leaf: leaf[place], given)
-        found = state.plant
-        taken = found._replace(robot=now.state, jets=found.jets._replace(thrust=now.thrust))
-        state = state._replace(plant=where(is_free, found, taken))
+        plant = state.plant
+        taken = plant._replace(robot=now.state, jets=plant.jets._replace(thrust=now.thrust))
+        state = state._replace(plant=where(is_free, plant, taken))
 
         def hand(own: Measurement) -> Measurement:
             return where(is_free, own, now.measurement._replace(time=own.time, preview=own.preview))
@@ -252,12 +252,12 @@ def _fly_ticks(
         state, row = step(scenario, state, first + place, hand)
         # The state is that to which JAX's own last tick led.
         return state, row | {
-            "base_position": found.robot.base_position,
-            "base_quaternion": wxyz_from_rotation(found.robot.base_rotation),
-            "base_velocity": found.robot.velocity[:6],
-            "joint_position": found.robot.joint_position,
-            "joint_velocity": found.robot.velocity[6:],
-            "thrust": found.jets.thrust,
+            "base_position": plant.robot.base_position,
+            "base_quaternion": wxyz_from_rotation(plant.robot.base_rotation),
+            "base_velocity": plant.robot.velocity[:6],
+            "joint_position": plant.robot.joint_position,
+            "joint_velocity": plant.robot.velocity[6:],
+            "thrust": plant.jets.thrust,
         }
 
     def next_tick(flown: tuple[Array, FlightState, FlightRow]) -> tuple[Array, FlightState, FlightRow]:
@@ -315,9 +315,9 @@ def _estimate_under(config: Mapping[str, Any], crate: FlightResult, twin: Flight
         if tick == len(crate["time"]) or not np.isfinite([*rates, *torque]).all():
             break
         state = rust.State(*(np.asarray(part[tick]) for part in states))
-        found = controller.tick(state, *(part[tick] for part in given))
-        rows.append(np.asarray(found.estimates.state.velocity))
-        forces.append(np.asarray(found.aero_force))
+        answer = controller.tick(state, *(part[tick] for part in given))
+        rows.append(np.asarray(answer.estimates.state.velocity))
+        forces.append(np.asarray(answer.aero_force))
         controller.replace_command(rates, torque)
     velocity = np.stack(rows)
     estimates = {"measured_base_velocity": velocity[:, :6], "measured_joint_velocity": velocity[:, 6:]}

@@ -65,9 +65,9 @@ def find() -> Path | None:
 def verify_library(config: Mapping[str, Any], path: Path) -> list[Row]:
     """Compare the commands of every tick of a flight."""
     flight = backends.backend(backends.backend_of(config)).fly(config)
-    found = commands(config, flight, path)
+    given = commands(config, flight, path)
     return [
-        compare("C", name, np.array([command[name] for command in found]), flight[signal], 0.0)
+        compare("C", name, np.array([command[name] for command in given]), flight[signal], 0.0)
         for name, signal in COMMANDS.items()
     ]
 
@@ -102,13 +102,13 @@ def commands(config: Mapping[str, Any], flight: FlightResult, path: Path) -> lis
         rows = list(_measurements(flight))
         if library.flight_start(controller, rows[0], message, len(message)):
             raise Refused(f"{path}: {message.value.decode()}")
-        found = []
+        answers = []
         for row in rows:
             arrays = {name: np.empty(flight[signal].shape[1]) for name, signal in COMMANDS.items()}
             if status := tick(controller, row, None, _Command(*map(_pointer, arrays.values()))):
                 raise Refused(f"{path}: a tick ends with status {status}")
-            found.append(arrays)
-        return found
+            answers.append(arrays)
+        return answers
     finally:
         library.flight_controller_free(controller)
 

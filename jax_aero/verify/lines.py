@@ -56,14 +56,14 @@ def watch_lines() -> Iterator[set[tuple[str, int]]]:
 
 def unseen_lines(seen: Iterable[tuple[str, int]]) -> dict[str, list[int]]:
     """Return the numbers of the lines of all functions of the model that have not run, by file."""
-    seen, found = set(seen), {}
+    seen, unseen = set(seen), {}
     for path in sorted(path for folder in FOLDERS for path in Path(folder).rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         lines = {number for number in _lines_of(compile(text, str(path), "exec")) if (str(path), number) not in seen}
         words = text.splitlines()
         if missing := sorted(number for number in lines if words[number - 1].strip() != "..."):
-            found[path.relative_to(HOME).as_posix()] = missing
-    return found
+            unseen[path.relative_to(HOME).as_posix()] = missing
+    return unseen
 
 
 def _lines_of(code: CodeType, *, is_function: bool = False) -> set[int]:

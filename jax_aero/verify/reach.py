@@ -72,12 +72,12 @@ def unreached(flown: Compared, others: Sequence[Compared] = ()) -> list[str]:
     """Return the names of all numbers of a scenario that nothing has reached, neither in `others` by the same name."""
     with jax.enable_x64(True):
         own = _Reach(*flown)
-        found = [] if own.integral >= INTEGRAL_LIMIT else ["limit of the integral"]
+        names = [] if own.integral >= INTEGRAL_LIMIT else ["limit of the integral"]
         # In the flight itself zeros beside other numbers have to show, too.
         left = own.hidden(own.names, zeros=True)
         for other in others:
             left = _Reach(*other).hidden(left, zeros=False)
-        return found + left
+        return names + left
 
 
 class _Reach:

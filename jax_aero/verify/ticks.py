@@ -84,10 +84,10 @@ def compare_ticks(
         tolerance = QP_TOLERANCE if name in SOLUTIONS else KERNEL_TOLERANCE
         of_crate = ([crate_quantity(tick, name) for tick in compress(ticks, alike)] for ticks in (theirs, near))
         # What has overflowed is equal where it has in both.
-        found, expected, rounded = (
+        twin, expected, rounded = (
             np.where(np.abs(part) > OVERFLOW, np.nan, part) for part in (ours[name][np.array(alike)], *of_crate)
         )
-        return compare(group, name, found, expected, tolerance, rounded=rounded)
+        return compare(group, name, twin, expected, tolerance, rounded=rounded)
 
     return [compare_all(name) for name in ours]
 
@@ -97,10 +97,10 @@ def twin_ticks(
 ) -> dict[str, Any]:
     """Return the quantities of both ticks of every sample, the first ticks of all before the second ones."""
     batch = jax.tree.map(lambda *leaves: np.stack(leaves), *((*sample.memory, *_given(sample)) for sample in samples))
-    found, taken = jax.device_get(_twin_ticks(params, robot, batch))
+    quantities, taken = jax.device_get(_twin_ticks(params, robot, batch))
     if sides is not None:
         sides.append(taken)
-    return {name: np.concatenate(np.moveaxis(value, 1, 0)) for name, value in found.items()}
+    return {name: np.concatenate(np.moveaxis(value, 1, 0)) for name, value in quantities.items()}
 
 
 def _given(sample: Sample) -> tuple[State, Any, Any, Setpoint]:
@@ -121,13 +121,13 @@ def _twin_ticks(params: MomentumController, robot: RobotModel, batch: Any) -> di
             time, (posture, inertia, integral, state, thrust, wind, followed) = now
             memory = memory._replace(posture=posture, inertia_0=inertia, velocity_error_integral=integral)
             memory, command, terms = control.tick(params, robot, memory, time, state, thrust, wind, followed)
-            found = tick_quantities(command, terms) | {"velocity_error_integral": memory.velocity_error_integral}
+            quantities = tick_quantities(command, terms) | {"velocity_error_integral": memory.velocity_error_integral}
             # With an empty result, of a robot without joints, jaxlib 0.10 does not compile calls of LAPACK.
-            return memory, {name: value for name, value in found.items() if value.size}
+            return memory, {name: value for name, value in quantities.items() if value.size}
 
         both = jax.tree.map(lambda *leaves: jnp.stack(leaves), *samples)
-        found: dict[str, Any] = jax.lax.scan(one_tick, memory, (times, both))[1]
-        return found
+        quantities: dict[str, Any] = jax.lax.scan(one_tick, memory, (times, both))[1]
+        return quantities
 
     both_ticks: dict[str, Any] = jax.lax.map(two_ticks, (tuple(batch), tuple(following)))
     return both_ticks

@@ -56,20 +56,20 @@ def read_text(
     content, file = read_bytes(path), f"`{path}`"
     factor: float | None = scale
     try:
-        found = rust.read_csv(content, file, {time: "signal", **kinds}, missing)
-        times = found.numbers[time]
+        parsed = rust.read_csv(content, file, {time: "signal", **kinds}, missing)
+        times = parsed.numbers[time]
         times = (times - times[:1]) * scale  # which would be rounded coarsely if they began in 1970
     except ConfigError as refusal:
-        found, factor = rust.read_csv(content, file, {time: "text", **kinds}, missing), None
-        places = [f"column {time} in line {line} of {file}" for line in found.lines]
-        times = stamps.seconds_of_texts(found.texts[time], places, str(refusal))
-    numbers = {**found.numbers, time: times}
+        parsed, factor = rust.read_csv(content, file, {time: "text", **kinds}, missing), None
+        places = [f"column {time} in line {line} of {file}" for line in parsed.lines]
+        times = stamps.seconds_of_texts(parsed.texts[time], places, str(refusal))
+    numbers = {**parsed.numbers, time: times}
     table = np.column_stack(list(numbers.values()))
     is_filled = ~np.isnan(table)
     is_sparse = not is_ours and 2 * is_filled[:, is_filled.any(axis=0)].all(axis=1).sum() < len(table)
     rows = [is_filled[:, column] if is_sparse else slice(None) for column in range(table.shape[1])]
     series = {name: Series(times[own], numbers[name][own]) for name, own in zip(numbers, rows, strict=True)}
-    return series, found.header, factor
+    return series, parsed.header, factor
 
 
 def read_parquet(
@@ -122,7 +122,7 @@ def read_mcap(
 
     _check_whole(path)
     ours = {f"/signals/{name}" for name in rust.signals()}
-    found: dict[str, tuple[array[float], array[float]]] = {}
+    columns: dict[str, tuple[array[float], array[float]]] = {}
     stated: dict[str, Stated] = {}
     channels: dict[int, Channel] = {}
     config, others, size = None, set(), 0
@@ -152,11 +152,11 @@ def read_mcap(
             if since is None:
                 continue
             for name, number in _flatten(message, topic):
-                if name not in found:
-                    found[name] = array("d"), array("d")
+                if name not in columns:
+                    columns[name] = array("d"), array("d")
                     size += 500 + len(name)
-                found[name][0].append(since)
-                found[name][1].append(number)
+                columns[name][0].append(since)
+                columns[name][1].append(number)
                 size += 16
             sizes.expect("bytes of numbers", size, sizes.MAX_NUMBERS)
     if not stated:
@@ -166,8 +166,8 @@ def read_mcap(
         messages.check(topic, f"`{path}`")
         if messages.times and (text := messages.describe(topic, f"`{path}`")):
             warnings.warn(f"{text}; they are left out", stacklevel=2)
-    start = min((min(times) for times, _ in found.values()), default=0.0)
-    return {name: _in_order(times, numbers, start) for name, (times, numbers) in found.items()}, config, stated
+    start = min((min(times) for times, _ in columns.values()), default=0.0)
+    return {name: _in_order(times, numbers, start) for name, (times, numbers) in columns.items()}, config, stated
 
 
 def _parse(content: bytes, what: str) -> Any:

@@ -120,9 +120,9 @@ def write_mcap(recording: Recording, out: Path, progress: Progress | None = None
         writer.add_metadata(METADATA, facts_of(recording))
         for tick, stamp in enumerate(stamps):
             for channel, topic in channels:
-                found = topic.message(tick, stamp)
-                if found is not None:
-                    writer.add_message(channel, stamp, found, stamp)
+                encoded = topic.message(tick, stamp)
+                if encoded is not None:
+                    writer.add_message(channel, stamp, encoded, stamp)
                     counts[topic.name] += 1
             if progress is not None:
                 progress(tick + 1, len(stamps))

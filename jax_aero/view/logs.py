@@ -169,15 +169,15 @@ def _in_our_units(column: Series, source: Source | None, name: str, path: Path) 
 
 def _own_columns(robot: rust.Robot, suffix: str) -> dict[str, tuple[str, ...]]:
     """Return the columns of every signal as `jax-aero export` names them."""
-    found = {}
+    columns = {}
     for name, signal in rust.signals().items():
         if signal.dims[0] == "time" and (entries := entries_of(name, robot)):
             if suffix in (".mcap", ".mat"):
                 head = f"/signals/{name}" if suffix == ".mcap" else name
-                found[name] = tuple(column_name(head, entry or ("value",)) for entry in entries)
+                columns[name] = tuple(column_name(head, entry or ("value",)) for entry in entries)
             else:
-                found[name] = tuple(column_name(name, entry) for entry in entries)
-    return found
+                columns[name] = tuple(column_name(name, entry) for entry in entries)
+    return columns
 
 
 def _load_mapping(path: Path) -> dict[str, Source]:
@@ -191,7 +191,7 @@ def _load_mapping(path: Path) -> dict[str, Source]:
 
 def _mapped_columns(sources: Mapping[str, Source], robot: rust.Robot, mapping: Path) -> dict[str, tuple[str, ...]]:
     """Return the columns of every signal that a mapping file names."""
-    found = {}
+    columns = {}
     for name, source in sources.items():
         entries = [(letter,) for letter in "wxyz"] if name == QUATERNION else entries_of(name, robot)
         names = source.columns
@@ -199,5 +199,5 @@ def _mapped_columns(sources: Mapping[str, Source], robot: rust.Robot, mapping: P
             names = tuple(names.replace("{}", "/".join(entry)) for entry in entries)
         if len(names) != len(entries):
             raise ConfigError.of(f"{name}.columns", list(names), f"{len(entries)} names").in_file(mapping.name)
-        found[name] = names
-    return found
+        columns[name] = names
+    return columns

@@ -170,21 +170,21 @@ def read_recording(path: Path, robot_path: str | Path | None) -> Recording:
 
     def rows(signal: str, leaf: str) -> Array | None:
         names = ["/".join((leaf, *(entry or ("value",)))) for entry in entries_of(signal, robot)]
-        found = [columns[name] for name in names if name in columns]
-        if len(found) < len(names) or any(series[0].size != times.size for series in found):
+        parts = [columns[name] for name in names if name in columns]
+        if len(parts) < len(names) or any(series[0].size != times.size for series in parts):
             return None
         shape = (times.size, *(len(names) for names in axes_of(signal, robot)))
-        return np.column_stack([series[1] for series in found]).reshape(shape)
+        return np.column_stack([series[1] for series in parts]).reshape(shape)
 
     first = f"{POSITIONS}/{robot.joint_names[0]}"
     if first not in columns:
         raise Refused(f"`{path}` has no column `{first}`{did_you_mean(first, columns)}")
     times = columns[first][0]
     declared = [name for name, signal in rust.signals().items() if signal.dims[0] == "time" and name != "time"]
-    signals = {"time": times} | {name: found for name in declared if (found := rows(name, name)) is not None}
-    if (found := rows("joint_position", POSITIONS)) is None:
+    signals = {"time": times} | {name: values for name in declared if (values := rows(name, name)) is not None}
+    if (values := rows("joint_position", POSITIONS)) is None:
         raise Refused(f"`{path}` lacks the position of a joint of `{robot.name}` at some of its times")
-    signals.setdefault("joint_position", found)
+    signals.setdefault("joint_position", values)
     return Recording(
         title=str(facts.get("title", path.stem)),
         signals=with_zeros(signals, robot),

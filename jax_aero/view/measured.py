@@ -83,14 +83,14 @@ def of_controller(log: Log, config: rust.Config, path: Path, *, also: Sequence[s
     """
     controller, robot = config["controller"], rust.Robot(config["robot"])
     period = float(controller["time_step"]) / int(rust.resolve_config(config)["controller"]["torque"]["steps"])
-    found = at_ticks(on_its_feet(log, config), robot, period, path, also=also)
-    angles = np.abs(found.signals["raw_joint_position"])
+    ticks = at_ticks(on_its_feet(log, config), robot, period, path, also=also)
+    angles = np.abs(ticks.signals["raw_joint_position"])
     often = np.nanquantile(angles, 1.0 - OFTEN, axis=0)
     for name, angle, most, (low, high) in zip(robot.joint_names, often, beyond(robot), robot.joint_stops, strict=True):
         if angle > most:
             what = f"`raw_joint_position` of `{name}` in `{path}` is often {angle:g}"
             raise Refused(f"{what}; expected {low:g} to {high:g} (deg?)")
-    return found
+    return ticks
 
 
 def beyond(robot: rust.Robot) -> Array:
@@ -123,12 +123,12 @@ def on_its_feet(log: Log, config: rust.Config) -> Log:
         legs.measure(rust.State(still[:3], np.eye(3), position, np.concatenate([still, rate])))
         for position, rate in zip(positions, rates, strict=True)
     ]
-    found = (
+    rest = (
         [np.asarray(state.base_position) for state in states],
         [np.asarray(state.base_rotation).ravel() for state in states],
         [np.asarray(state.velocity)[:6] for state in states],
     )
-    signals |= {name: [Series(times, np.array(rows))] for name, rows in zip(base, found, strict=True)}
+    signals |= {name: [Series(times, np.array(rows))] for name, rows in zip(base, rest, strict=True)}
     return log._replace(signals=signals)
 
 
@@ -188,23 +188,23 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Se
     is_recorded = ticks - rows[_last_row(rows, ticks)] <= held * period
     if not is_recorded.all():
         warnings.warn(_describe_gaps(stamps, ticks, is_recorded, path), stacklevel=2)
-    found = {}
+    signals = {}
     for name, series in log.signals.items():
         entries = [_hold(one, ticks, held * max(period, _typical_step(one.times))) for one in series]
         flat = np.concatenate([entry.reshape(ticks.size, -1) for entry in entries], axis=1)
         if name in (QUATERNION, "raw_base_rotation"):
-            found["raw_base_rotation"] = _rotations(flat, name, ticks, stamps, path)
+            signals["raw_base_rotation"] = _rotations(flat, name, ticks, stamps, path)
         else:
             shape = [len(names) for names in recording.axes_of(name, robot)]
-            found[name] = flat.reshape(ticks.size, *shape)
+            signals[name] = flat.reshape(ticks.size, *shape)
     if not robot.joint_names:
-        found["raw_joint_position"] = np.zeros((ticks.size, 0))
+        signals["raw_joint_position"] = np.zeros((ticks.size, 0))
     times = ticks - ticks[0]
-    if not is_denser and "time" in found:
+    if not is_denser and "time" in signals:
         # The stamps of messages are rounded, the times that they state are not.
-        stated = np.where(is_lost, times, found["time"] - found["time"][0])
+        stated = np.where(is_lost, times, signals["time"] - signals["time"][0])
         times = stated if np.all(np.abs(stated - times) < ROUNDING) else times
-    return Ticks(found | {"time": times}, is_recorded)
+    return Ticks(signals | {"time": times}, is_recorded)
 
 
 def _rotations(flat: Array, name: str, ticks: Array, stamps: Array, path: Path) -> Array:
@@ -213,19 +213,19 @@ def _rotations(flat: Array, name: str, ticks: Array, stamps: Array, path: Path) 
     Quaternions of any length but zero are rotations; of a matrix the nearest rotation is taken. NaN stays NaN.
     """
     if name == QUATERNION:
-        is_none, found = ~flat.any(axis=1), rust.rotation_from_wxyz(flat)
+        is_none, rotations = ~flat.any(axis=1), rust.rotation_from_wxyz(flat)
     else:
-        found = flat.reshape(-1, 3, 3).copy()
-        error = np.abs(np.swapaxes(found, 1, 2) @ found - np.eye(3)).max(axis=(1, 2))
-        is_rounded = (error > EXACT) | (np.linalg.det(np.nan_to_num(found)) < 0.0)  # not where it is NaN
-        found[is_rounded] = nearest_rotation(found[is_rounded])
-        is_none = np.abs(found.reshape(flat.shape) - flat).max(axis=1) > ROUNDED
+        rotations = flat.reshape(-1, 3, 3).copy()
+        error = np.abs(np.swapaxes(rotations, 1, 2) @ rotations - np.eye(3)).max(axis=(1, 2))
+        is_rounded = (error > EXACT) | (np.linalg.det(np.nan_to_num(rotations)) < 0.0)  # not where it is NaN
+        rotations[is_rounded] = nearest_rotation(rotations[is_rounded])
+        is_none = np.abs(rotations.reshape(flat.shape) - flat).max(axis=1) > ROUNDED
     if (places := np.flatnonzero(is_none)).size:
         time, numbers = ticks[places[0]], " ".join(f"{number:g}" for number in flat[places[0]])
         row = int(np.searchsorted(stamps, time + ROUNDING))
         what = f"`{name}` of `{path}` is {numbers} in row {row} at {time:g} s, and no rotation in {places.size} ticks"
         raise Refused(f"{what}; expected one, or nothing where it is not measured")
-    return found
+    return rotations
 
 
 def _likely_unit(scale: float | None, step: float, period: float) -> str:
@@ -343,8 +343,8 @@ def read_flight(path: Path, config: rust.Config | None, mapping: Path | None, ro
     config = {**config, "robot": str(robot_file or config["robot"])}
     place = Path(config["robot"])
     robot = rust.Robot(place)
-    found, is_recorded = of_controller(log, config, path)
-    signals = {name: rows[is_recorded] for name, rows in found.items()}
+    measured, is_recorded = of_controller(log, config, path)
+    signals = {name: rows[is_recorded] for name, rows in measured.items()}
     signals = {name: _filled(signals[f"raw_{name}"]) for name in MEASURED if f"raw_{name}" in signals} | signals
     signals.setdefault("base_quaternion", np.asarray(wxyz_from_rotation(_filled(signals["raw_base_rotation"]))))
     if "com_position" not in signals:

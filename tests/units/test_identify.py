@@ -84,7 +84,7 @@ def errors_of(model, prior, truth, monkeypatch):
     """Return found numbers, and by name how many prior deviations they are off and the share of the data."""
     monkeypatch.setattr(motion, "AIR", (0.0, 0.0, 0.0))
     for name in ("COHERENT", "COHERENT_INERTIA", "LATE"):
-        monkeypatch.setattr(motion, name, 0.0)
+        monkeypatch.setattr(search, name, 0.0)
     log = made_log(model, truth)
     mass = float(np.sum(model.robot.masses)) * float(1.0 + truth.mass)
     found = search.estimate(model, [log], PERIOD, prior, (mass, 1e-3), (1e-4, 1e-4, 1e-4))
@@ -158,7 +158,7 @@ def test_drives_that_are_wrong_alike_do_not_make_the_robot_light(sparrow, monkey
     log = made_log(sparrow, truth)
     found = search.estimate(sparrow, [log], PERIOD, prior)
     assert abs(found.value[0]) < Z * found.deviation[0]
-    monkeypatch.setattr(motion, "ALIKE", 0.0)
+    monkeypatch.setattr(search, "ALIKE", 0.0)
     assert search.estimate(sparrow, [log], PERIOD, prior).deviation[0] < 0.97 * found.deviation[0]
 
 

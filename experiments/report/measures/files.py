@@ -157,8 +157,8 @@ def campaign() -> Measured:
 
 def tests_of_campaign() -> Measured:
     """Count tests and postures in the public list of the tunnel's campaign, and points in the tables of the figures."""
-    (found,) = (one for one in table("tables/tunnel_tests.toml")["campaign"] if one["name"] == CAMPAIGN)
-    tests = {**found["hovering"], **found["flight"]}
+    (campaign,) = (one for one in table("tables/tunnel_tests.toml")["campaign"] if one["name"] == CAMPAIGN)
+    tests = {**campaign["hovering"], **campaign["flight"]}
     symmetric = list(filter(_is_symmetric, tests))
     shown = table(f"tables/{TUNNEL}")
     return one(
@@ -180,11 +180,11 @@ def _is_symmetric(posture: str) -> bool:
 
 def ranges() -> Measured:
     """Measure the angles [deg] of the tests in the tables of the figures: sideslip by speed, attack by posture."""
-    found = table(f"tables/{TUNNEL}")
-    drag = tunnel.hovering_drag(found)
+    tests = table(f"tables/{TUNNEL}")
+    drag = tunnel.hovering_drag(tests)
     cases = {f"hovering, {speed:g} m/s": {"beta": [min(curve), max(curve)]} for speed, curve in drag.items()}
-    cases |= {test["posture"]: {"alpha": [min(test["alpha_deg"]), max(test["alpha_deg"])]} for test in found["flight"]}
-    return Measured({case: {"angles": next(iter(found.values())), **found} for case, found in cases.items()})
+    cases |= {test["posture"]: {"alpha": [min(test["alpha_deg"]), max(test["alpha_deg"])]} for test in tests["flight"]}
+    return Measured({case: {"angles": next(iter(ends.values())), **ends} for case, ends in cases.items()})
 
 
 def simulations() -> Measured:
@@ -218,8 +218,8 @@ def network() -> Measured:
     inputs = sum(sizes[block] for block in card["inputs"]["features"])
     errors, baselines = (
         {
-            split: {name: factor * value for name, value in found.items() if isinstance(value, float)}
-            for split, found in of.items()
+            split: {name: factor * value for name, value in of_split.items() if isinstance(value, float)}
+            for split, of_split in of.items()
         }
         for of in (training["errors"], training["baselines"])
     )
@@ -270,15 +270,15 @@ def tunnel_speeds() -> Measured:
 
 def tunnel_postures() -> Measured:
     """Measure how far the drag areas of flight postures differ [%], at most and at least over the angles of attack."""
-    found = tunnel.read(TUNNEL)["flight"]
-    apart, angles = _spread([posture["cda"] for posture in found]), found[0]["alpha_deg"]
+    postures = tunnel.read(TUNNEL)["flight"]
+    apart, angles = _spread([posture["cda"] for posture in postures]), postures[0]["alpha_deg"]
     return one(percent=float(apart.max()), at=angles[apart.argmax()], least=float(apart.min()))
 
 
 def efficiency() -> Measured:
     """Measure the greatest lift over drag of the symmetric flight postures."""
-    found = [test for test in tunnel.read(TUNNEL)["flight"] if _is_symmetric(test["posture"])]
-    ratios = {test["posture"]: float(np.max(np.divide(test["cla"], test["cda"]))) for test in found}
+    tests = [test for test in tunnel.read(TUNNEL)["flight"] if _is_symmetric(test["posture"])]
+    ratios = {test["posture"]: float(np.max(np.divide(test["cla"], test["cda"]))) for test in tests}
     return one(greatest=max(ratios.values()), each=", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()))
 
 
@@ -308,7 +308,7 @@ def cfd(turbulence: str = OMEGA, mesh: str = tunnel.FINEST) -> Measured:
 
 def meshes_apart() -> Measured:
     """Measure how far the forces on the public meshes of flight30 are from the tunnel's [%]: in all, drag, lift."""
-    found = {}
+    by_mesh = {}
     for mesh in sorted({run["mesh"] for run in tunnel.read(CFD)["run"]}):
         record, run = _flight30(mesh, OMEGA)
         known = np.array([tunnel.measured_area(record, key, run) for key in ("cda", "cla", "csa")])
@@ -317,8 +317,8 @@ def meshes_apart() -> Measured:
         sizes = {"force": np.abs(np.linalg.norm(known + apart, axis=0) / magnitude - 1.0)}
         sizes |= {"vector": np.linalg.norm(apart, axis=0) / magnitude}
         sizes |= {"drag": np.abs(apart[0] / known[0]), "lift": np.abs(apart[1] / known[1])}
-        found[mesh] = {name: 100.0 * float(values.max()) for name, values in sizes.items()}
-    return Measured(found)
+        by_mesh[mesh] = {name: 100.0 * float(values.max()) for name, values in sizes.items()}
+    return Measured(by_mesh)
 
 
 def meshes_within() -> Measured:

@@ -65,10 +65,10 @@ def perturbed(results: Results, *, test: str) -> Measured:
     """Measure a test, its perturbed repetitions, and those with finer steps and winds 1e-5 m/s apart, by lever arms."""
     cells, finer = results.sweep("paper_tests"), results.sweep("convergence")
     name = test.upper() if test.startswith("test") else test
-    found = {}
+    cases = {}
     for arms, end in ARMS.items():
         flight, cell = results.flight(test + end), cells.cell(test=f"{name}, {arms} arms")
-        found[arms] = {
+        cases[arms] = {
             "ending": flight.ending,
             "is_fallen": flight.document["outcome"] == "fell",
             "is_completed": flight.document["outcome"] == "completed",
@@ -81,7 +81,7 @@ def perturbed(results: Results, *, test: str) -> Measured:
             "high": cell["completed_high"],
             "is_decided": not cell["completed_low"] < MOSTLY < cell["completed_high"],
         }
-    return Measured(found)
+    return Measured(cases)
 
 
 def _lost(known: list[dict[str, Any]]) -> str:
@@ -95,13 +95,13 @@ def joint_errors(results: Results) -> Measured:
     Of flights that succeed in the paper, the greatest share of a sum that is left at the end; of those that fail, the
     least one.
     """
-    found: dict[str, dict[str, Any]] = {}
+    cases: dict[str, dict[str, Any]] = {}
     for name in (*SUCCESSFUL, *FAILED):
         errors = results.flight(name).joint_errors
         text = ", ".join(f"{part} {most:.0f}° ({end:.0f}°)" for part, (most, end) in errors.items())
         left = [end / most for most, end in errors.values()]
-        found[name] = {"parts": text} | ({"rest": max(left)} if name in SUCCESSFUL else {"rest_fallen": min(left)})
-    return Measured(found)
+        cases[name] = {"parts": text} | ({"rest": max(left)} if name in SUCCESSFUL else {"rest_fallen": min(left)})
+    return Measured(cases)
 
 
 def force_angle(results: Results) -> Measured:
@@ -115,13 +115,13 @@ def asymmetry(results: Results) -> Measured:
 
     Also the moment of the air in the wind at rest, and what the thrusts leave of it (`Flight.moments`).
     """
-    still, found = results.flight("no_wind").asymmetry, {}
+    still, cases = results.flight("no_wind").asymmetry, {}
     for name in ("test4", "robustness"):
         flight = results.flight(name)
         (arms, chest), moments = flight.asymmetry, flight.moments
-        found[name] = {"arms": arms, "chest": chest, "still": max(still), "ratio": max(arms, chest) / max(still)}
-        found[name] |= moments | {"balance": moments["left"] / moments["air"]}
-    return Measured(found)
+        cases[name] = {"arms": arms, "chest": chest, "still": max(still), "ratio": max(arms, chest) / max(still)}
+        cases[name] |= moments | {"balance": moments["left"] / moments["air"]}
+    return Measured(cases)
 
 
 def thrusts(results: Results) -> Measured:
@@ -146,24 +146,24 @@ def mach(results: Results) -> Measured:
 
 def force_changes(results: Results) -> Measured:
     """Measure the rms rate of the aerodynamic force over that of the estimated linear momentum rate [%]."""
-    found = {}
+    cases = {}
     for name in ("test2", "test4"):
         run = results.flight(name).run.sel(time=slice(SETTLING_TIME, None))
         signals = (flights.aero_force(run), run["momentum_rate_estimate"].isel(six=slice(3)))
         of_air, whole = (float((signal.differentiate("time") ** 2).mean()) for signal in signals)
-        found[name] = {"percent": 100.0 * math.sqrt(of_air / whole) if whole else math.nan}
-    return Measured(found)
+        cases[name] = {"percent": 100.0 * math.sqrt(of_air / whole) if whole else math.nan}
+    return Measured(cases)
 
 
 def oscillations(results: Results) -> Measured:
     """Measure the rms speed of the joints in the full wind of the robustness test, moving and at rest [deg/s]."""
-    found = {}
+    cases = {}
     for arms, end in ARMS.items():
         flight = results.flight(f"robustness{end}")
         squares, parts = np.degrees(flight.run["joint_velocity"].values) ** 2, (flight.is_moving, ~flight.is_moving)
         moving, resting = (float(np.sqrt(squares[rows & flight.is_windy].mean())) for rows in parts)
-        found[arms] = {"moving": moving, "resting": resting, "ratio": moving / resting if resting else math.nan}
-    return Measured(found)
+        cases[arms] = {"moving": moving, "resting": resting, "ratio": moving / resting if resting else math.nan}
+    return Measured(cases)
 
 
 def nonlinear(results: Results) -> Measured:
@@ -174,18 +174,18 @@ def nonlinear(results: Results) -> Measured:
 
 def forces_apart(results: Results) -> Measured:
     """Measure how far the forces of the simulator's and of the controller's model differ in the robustness test [N]."""
-    found = {}
+    cases = {}
     for arms, end in ARMS.items():
         apart = results.flight(f"robustness{end}").forces_apart
         ratios = {"later": apart["late"] / apart["early"], "ratio": apart["moving"] / apart["resting"]}
-        found[arms] = apart | ratios
-    return Measured(found)
+        cases[arms] = apart | ratios
+    return Measured(cases)
 
 
 def model_pairs(results: Results) -> Measured:
     """Count the winds flown to the end with the simulator's model, another, none, and none but an observer."""
     sweep = results.sweep("model_pairs")
-    worlds, found = sweep.levels("world"), {}
+    worlds, cases = sweep.levels("world"), {}
     for arms in sweep.levels("arms"):
         cells = sweep.select(arms=arms)
         kinds = {
@@ -200,20 +200,20 @@ def model_pairs(results: Results) -> Measured:
         }
         part, on_course, whole = counts["another model"]
         said = ", ".join(f"{name} {n} ({on} on course) of {m}" for name, (n, on, m) in counts.items())
-        found[arms] = {"counts": said, "low": wilson(part, whole)[0], "on_course": on_course / whole}
-    return Measured(found)
+        cases[arms] = {"counts": said, "low": wilson(part, whole)[0], "on_course": on_course / whole}
+    return Measured(cases)
 
 
 def lambda_term(results: Results) -> Measured:
     """Measure the ablation of the change of aerodynamic forces, by world [deg]."""
-    cells, found = results.sweep("ablation_terms"), {}
+    cells, cases = results.sweep("ablation_terms"), {}
     for world in (RIGHT, HEAD, PUBLISHED):
         whole, without = (
             cells.cell(world=world, feedback=level)["rotation_error_deg_median_of_all"]
             for level in ("everything", "without Λ_a")
         )
-        found[world] = {"whole": whole, "without": without, "change": abs(whole - without)}
-    return Measured(found)
+        cases[world] = {"whole": whole, "without": without, "change": abs(whole - without)}
+    return Measured(cases)
 
 
 def minimum(results: Results) -> Measured:
@@ -283,9 +283,9 @@ def mission_fuel(results: Results) -> Measured:
 
 def arm_engines(results: Results) -> Measured:
     """Measure flights with either engine in the arms."""
-    found = results.study("arm_engines", "paper")
-    weak = {name.removesuffix(" P100"): cell for name, cell in found.items() if name.endswith("P100")}
-    strong = {name: found[f"{name} P160"] for name in weak}
+    engines = results.study("arm_engines", "paper")
+    weak = {name.removesuffix(" P100"): cell for name, cell in engines.items() if name.endswith("P100")}
+    strong = {name: engines[f"{name} P160"] for name in weak}
     return Measured(
         {
             name: cell
@@ -301,9 +301,9 @@ def arm_engines(results: Results) -> Measured:
 
 def clearance(results: Results) -> Measured:
     """Measure the least distance of the exhausts from the body [mm]; `paper` is that of the paper's flights alone."""
-    found = {name: figures["clearance_mm"] for name, figures in results.study("along", "flights").items()}
-    asked = {name: {"paper": found[name]} for name in PAPER_RUNS}
-    return Measured({name: {"clearance": mm, **asked.get(name, {})} for name, mm in found.items()})
+    distances = {name: figures["clearance_mm"] for name, figures in results.study("along", "flights").items()}
+    asked = {name: {"paper": distances[name]} for name in PAPER_RUNS}
+    return Measured({name: {"clearance": mm, **asked.get(name, {})} for name, mm in distances.items()})
 
 
 def recorded_commands(results: Results) -> Measured:
@@ -324,9 +324,9 @@ def recorded_motion(results: Results) -> Measured:
     """Measure motion and torques of the simulated experiment beside those of the robot."""
     texts, wrong = [], []
     for name in ("front", "lateral"):
-        found = results.study("standing", name)
-        figures = [key.removeprefix("recorded: ") for key in found if key.startswith("recorded: ")]
-        pairs = {figure: (found[f"simulated: {figure}"], found[f"recorded: {figure}"]) for figure in figures}
+        kept = results.study("standing", name)
+        figures = [key.removeprefix("recorded: ") for key in kept if key.startswith("recorded: ")]
+        pairs = {figure: (kept[f"simulated: {figure}"], kept[f"recorded: {figure}"]) for figure in figures}
         texts += [f"{name}: " + ", ".join(f"{key} {ours:.1f} ({robot:.1f})" for key, (ours, robot) in pairs.items())]
         bands = {figure: MOTION_BANDS[figure[figure.rindex("[") :]] for figure in figures}
         wrong += [f"{name}: {key}" for key, (ours, robot) in pairs.items() if not abs(ours - robot) <= bands[key]]
@@ -335,15 +335,15 @@ def recorded_motion(results: Results) -> Measured:
 
 def wake(results: Results) -> Measured:
     """Measure the flow around the robot on the mesh of the recipe."""
-    found = results.study("cfd_flow", "flight30")
+    kept = results.study("cfd_flow", "flight30")
     part, surface = (
-        100.0 * found[f"part of the {of} where that is above 100"] for of in ("wake in the plane", "surface")
+        100.0 * kept[f"part of the {of} where that is above 100"] for of in ("wake in the plane", "surface")
     )
     return one(
         surface=surface,
         bare=100.0 - surface,
-        pressure=100.0 * found["pressure share of the force"],
-        greatest=found["turbulent over molecular viscosity, largest in the plane"],
+        pressure=100.0 * kept["pressure share of the force"],
+        greatest=kept["turbulent over molecular viscosity, largest in the plane"],
         part=part,
         rest=100.0 - part,
     )
@@ -368,11 +368,11 @@ def wake_meshes(results: Results) -> Measured:
 
 def wind_estimate(results: Results) -> Measured:
     """Measure the wind estimated from the wrench, by world."""
-    found = results.study("wind_observer", "turbulence")
+    by_wind = results.study("wind_observer", "turbulence")
     worlds: dict[str, list[Mapping[str, float]]] = {}
-    for name, figures in found.items():
+    for name, figures in by_wind.items():
         worlds.setdefault(name.rpartition(", ")[0], []).append(figures)
-    speeds = [name.rpartition(", ")[2].removesuffix(" m/s") for name in found]
+    speeds = [name.rpartition(", ")[2].removesuffix(" m/s") for name in by_wind]
     cases = {}
     for world, cells in worlds.items():
         rms, inside = ([cell[key] for cell in cells] for key in ("rms", "inside"))

@@ -103,9 +103,9 @@ def fuel_and_clearance(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption]
 def clearance_of(robot: Any, plume_length: float) -> tuple[ca.Function, list[str]]:
     """Return the distance of every jet's exhaust to the nearest link [m] as a function of the joints, and the jets."""
     tree = Kinematics(robot)
-    found = pairs(tree, plume_length)
+    every = pairs(tree, plume_length)
     jets = [jet.name for jet in robot.jets]
-    least = [ca.mmin(ca.vertcat(*(pair.distance for pair in found if pair.jet == jet))) for jet in jets]
+    least = [ca.mmin(ca.vertcat(*(pair.distance for pair in every if pair.jet == jet))) for jet in jets]
     return _at_posture("clearance", tree, least), jets
 
 
@@ -119,14 +119,14 @@ def _at_posture(name: str, tree: Kinematics, values: list[ca.SX]) -> ca.Function
 
 def figures(dataset: xr.Dataset) -> dict[str, dict[str, float]]:
     """Return, by flight, fuel, fuel mass for five minutes at the mean rate, and the least clearance."""
-    found = {}
+    by_flight = {}
     for name in dataset["flight"].values.tolist():
         one = dataset.sel(flight=name)
         fuel = one["fuel"].dropna("time")
         litres, seconds = float(fuel[-1]), float(fuel["time"][-1])
-        found[name] = {
+        by_flight[name] = {
             "fuel_l": litres,
             "five_minutes_kg": litres / seconds * 300.0 * Choice().fuel_density,
             "clearance_mm": 1e3 * float(one["clearance"].min()),
         }
-    return found
+    return by_flight

@@ -37,22 +37,22 @@ class ArmEngines(tables.Table, frozen=True):
 def compute(_: str, asked: ArmEngines) -> Findings:
     """Fly every mission with every engine."""
     flights = {name: rust.load_config(name) for name in asked.experiments}
-    found: dict[str, dict[str, Any]] = {}
+    outcomes: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(ROBOT.with_suffix(".urdf"), folder)
         for engine, limit in ENGINES.items():
             path = Path(folder) / f"{engine}.toml"
             path.write_text(replace_arm_engines(ROBOT.read_text(encoding="utf-8"), engine, limit), encoding="utf-8")
             for name, config in flights.items():
-                found[f"{name} {engine}"] = outcome_of(rust.fly({**config, "robot": str(path)}))
-    rows = [[found[f"{name} {engine}"] for engine in ENGINES] for name in flights]
+                outcomes[f"{name} {engine}"] = outcome_of(rust.fly({**config, "robot": str(path)}))
+    rows = [[outcomes[f"{name} {engine}"] for engine in ENGINES] for name in flights]
     units = {"outcome": {}, **{key: {"units": unit} for key, unit in QUANTITIES.items()}}
     data = xr.Dataset(
         {key: (("experiment", "engine"), [[cell[key] for cell in row] for row in rows], units[key]) for key in units},
         {"experiment": list(flights), "engine": list(ENGINES)},
     )
     inputs = {"engines": ENGINES}
-    return Findings("Engines of the arms", data, found, flights=flights, inputs=inputs, files=[ROBOT])
+    return Findings("Engines of the arms", data, outcomes, flights=flights, inputs=inputs, files=[ROBOT])
 
 
 STUDY = Study("arm_engines", __doc__, ArmEngines, compute, ("paper",), backend="rust")

@@ -77,15 +77,15 @@ def fly_block(job: Job) -> list[Row]:
         for design in job.designs:
             path = robots.write(dict(zip(robots.RANGES, design.tolist(), strict=True)), Path(folder))
             (trim, config), robot = robots.fit(path, base), rust.Robot(path)
-            found = np.full((len(job.draws), len(job.flights), len(FIGURES)), np.nan)
+            figures = np.full((len(job.draws), len(job.flights), len(FIGURES)), np.nan)
             for at, draw in enumerate(job.draws if config else ()):
                 flown = [set_all(config, changes) for changes in job.flights.values()]
                 for one in flown:
                     drawn.apply(one, job.seed, draw, robot)
                 flights = rust.fly_batch(flown, threads=1, full_log=True)
-                found[at] = [judge(*pair) for pair in zip(flown, flights, strict=True)]
+                figures[at] = [judge(*pair) for pair in zip(flown, flights, strict=True)]
             row = {"missed": trim.missed, "pitch": float(np.degrees(trim.base_rpy[1])), "mass": robot.mass}
-            rows.append(row | {"figures": found.tolist()})
+            rows.append(row | {"figures": figures.tolist()})
     return rows
 
 

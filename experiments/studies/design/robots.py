@@ -122,10 +122,10 @@ def _stretch(link: ET.Element, carried: list[ET.Element], shape: dict[str, Any] 
 
 def find(part: ET.Element, path: str) -> ET.Element:
     """Return what is at a path within a part of a URDF."""
-    found = part.find(path)
-    if found is None:
+    element = part.find(path)
+    if element is None:
         raise AssertionError(f"`{part.get('name')}` of iRonCub-Mk3 has a {path}")
-    return found
+    return element
 
 
 def numbers(part: ET.Element, key: str) -> Array:
@@ -189,14 +189,14 @@ def find_trim(path: Path, joints: Array) -> Trim:
         x = np.frombuffer(unknowns)
         attitude, posture, thrust = rotation_from_rpy(np.array([*x[:2], 0.0])), x[2 : 2 + n], 100.0 * x[2 + n :]
         state = rust.State(np.zeros(3), attitude, posture, np.zeros(6 + n))
-        found = rust.dynamics(robot, state)
+        dyn = rust.dynamics(robot, state)
 
         def put(bodies: Any, points: Any) -> Array:
-            return np.asarray(found.body_positions[list(bodies)] + _turn(found.body_rotations[list(bodies)], points))
+            return np.asarray(dyn.body_positions[list(bodies)] + _turn(dyn.body_rotations[list(bodies)], points))
 
-        along = _turn(found.body_rotations[list(jets.bodies)], axes)
+        along = _turn(dyn.body_rotations[list(jets.bodies)], axes)
         jacobians = [rust.frame_jacobian(robot, frame, state).linear for frame in robot.jet_frames]
-        left = found.bias - sum(t * j.T @ a for t, j, a in zip(thrust, jacobians, along, strict=True))
+        left = dyn.bias - sum(t * j.T @ a for t, j, a in zip(thrust, jacobians, along, strict=True))
         start, end = (put(links.bodies, points) for points in ends)
         plume = put(jets.bodies, jets.positions)[:, None] - np.linspace(0.0, PLUME, 25)[:, None] * along[:, None]
         away, way = plume[:, :, None] - start, end - start

@@ -89,7 +89,7 @@ def gradient(config: rust.Config) -> tuple[float, Numbers, dict[str, float]]:
 def differences(config: rust.Config) -> tuple[float, Numbers, float]:
     """Return the same by central differences of the crate, whose robots are files, and the time [s]."""
     started, robot = time.perf_counter(), rust.Robot(config["robot"])
-    found = nothing(robot)
+    derivatives = nothing(robot)
     with TemporaryDirectory() as folder:
 
         def cost(kind: str = "mass", index: tuple[int, ...] = (0,), by: float = 0.0) -> float:
@@ -98,11 +98,11 @@ def differences(config: rust.Config) -> tuple[float, Numbers, float]:
             com = flown["com_position"] - flown["com_setpoint"]
             return float(cost_of(com[:-1], flown["rotation_error"][:-1]))
 
-        for kind, values in found.items():
+        for kind, values in derivatives.items():
             step = STEPS[kind]
             for index in np.ndindex(values.shape):
                 values[index] = (cost(kind, index, step) - cost(kind, index, -step)) / (2.0 * step)
-        return cost(), found, time.perf_counter() - started
+        return cost(), derivatives, time.perf_counter() - started
 
 
 def change_files(source: Path, robot: rust.Robot, folder: Path, kind: str, index: tuple[int, ...], by: float) -> Path:
@@ -146,12 +146,12 @@ def placed(config: rust.Config, effects: Numbers) -> list[Row]:
     robot, initial = rust.Robot(config["robot"]), config["simulator"]["initial"]
     rotation = rotation_from_rpy(np.radians(initial["base_rpy_deg"]))
     state = rust.State.at_rest(robot, initial["joint_position"])._replace(base_rotation=rotation)
-    found, known = rust.dynamics(robot, state), robot.arrays()
+    dyn, known = rust.dynamics(robot, state), robot.arrays()
     size = {kind: np.linalg.norm(effects[kind], axis=1) for kind in ("com", "joint", "axis")}
     shapes = []
 
     def add(kind: str, name: str, body: int, points: Any, effect: float, width: float = 0.0) -> None:
-        ends = found.body_positions[body] + points @ found.body_rotations[body].T
+        ends = dyn.body_positions[body] + points @ dyn.body_rotations[body].T
         shapes.append({"kind": kind, "name": name, "ends": ends, "width": width, "effect": effect})
 
     one, jets = known["aero_links"], known["jets"]

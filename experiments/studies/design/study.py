@@ -70,7 +70,7 @@ def sensitivities(asked: DesignConfig, _: Work) -> Findings:
         off = {kind: np.abs(slopes[kind] - one).max() / np.abs(one).max() for kind, one in quotients.items()}
         effects = {kind: 100.0 * slopes[kind] * unit / value for kind, unit in sensitivity.UNITS.items()}
         shapes += [shape | {"robot": robot} for shape in sensitivity.placed(flights[name], effects)]
-        found = {
+        figures = {
             "numbers": sum(one.size for one in slopes.values()),
             "cost": value,
             "cost of the crate, relative difference": abs(again / value - 1.0),
@@ -79,7 +79,7 @@ def sensitivities(asked: DesignConfig, _: Work) -> Findings:
             "differences of the crate [s]": seconds,
             **{f"cost by one unit of {kind} at most [%]": float(np.abs(one).max()) for kind, one in effects.items()},
         }
-        summary |= {f"{robot}, {key}": one for key, one in found.items()}
+        summary |= {f"{robot}, {key}": one for key, one in figures.items()}
     columns = {key: ("shape", [shape[key] for shape in shapes]) for key in ("robot", "kind", "name", "effect", "width")}
     data = xr.Dataset(columns | {"ends": (("shape", "end", "axis"), np.array([shape["ends"] for shape in shapes]))})
     return Findings("Sensitivities of a hover in wind", data, summary, flights=flights)
@@ -235,10 +235,10 @@ def confirmed(asked: DesignConfig, work: Work) -> Findings:
             flights, np.moveaxis(figures[at], 1, 0), np.moveaxis(figures[0], 1, 0), strict=True
         ):
             summary[f"{name}, {flight}, lost"] = share(one[:, 0] != 0.0)
-            for figure, found, of_mk3 in zip(FIGURES, one.T, mk3.T, strict=True):
-                if figure in ("tracking", "thrust", "lean", "sink") and not np.isnan(found).all():
-                    beside = f"; over Mk3's {ratio(found / of_mk3)}" if at else ""
-                    summary[f"{name}, {flight}, {figure}"] = f"{np.nanmedian(found):.4g}{beside}"
+            for figure, of_one, of_mk3 in zip(FIGURES, one.T, mk3.T, strict=True):
+                if figure in ("tracking", "thrust", "lean", "sink") and not np.isnan(of_one).all():
+                    beside = f"; over Mk3's {ratio(of_one / of_mk3)}" if at else ""
+                    summary[f"{name}, {flight}, {figure}"] = f"{np.nanmedian(of_one):.4g}{beside}"
     texts, base = dict[str, str | bytes](), rust.load_config(campaign.BASE)
     with TemporaryDirectory() as folder:
         for name, index in chosen.items():

@@ -220,8 +220,8 @@ class Fall:
         (_, last), inputs = self._bounds(thrust), np.array(self.still)
         guess = np.concatenate([np.clip(self.start, *last), inputs.mean(axis=0)])
         bounds = [np.concatenate(pair) for pair in zip(last, inputs, strict=True)]
-        found = _solved(self._strongest, guess, [1.0, thrust], *bounds)
-        return np.nan if found is None else -found[1]
+        solution = _solved(self._strongest, guess, [1.0, thrust], *bounds)
+        return np.nan if solution is None else -solution[1]
 
     def _bounds(self, thrust: float) -> list[tuple[Array, Array]]:
         """Return the bounds of the states on the way and at the end: a fall does not climb again."""
@@ -239,10 +239,10 @@ class Fall:
         path[:, HEIGHT] -= np.linspace(0.0, drop, count + 1)
         return np.concatenate([path.ravel(), np.tile(np.mean(self.inputs, axis=0), count + 1), [1.5]])
 
-    def _leans(self, found: Array) -> tuple[Array, Array]:
+    def _leans(self, solution: Array) -> tuple[Array, Array]:
         """Return the states of a fall (k, n), and the lean in each [deg]."""
         count = self.asked.intervals + 1
-        path = found[: self.size * count].reshape(count, self.size)
+        path = solution[: self.size * count].reshape(count, self.size)
         return path, np.degrees(np.arccos(np.clip(self.upright.map(count)(path.T).full()[0], -1.0, 1.0)))
 
     def solve(self, spool_up: float, thrust: float, guess: Array | None = None) -> tuple[Landing, Array | None]:
@@ -353,12 +353,12 @@ def _lean(log: Mapping[str, Array]) -> Array:
 def landings(asked: HeightLost, config: rust.Config, engine: str) -> tuple[float, list[Landing]]:
     """Return the greatest acceleration at the end [m/s²], and all falls, those with other engines from the first."""
     fall, guess = Fall(asked, config, asked.time, engine), None
-    found = []
+    falls = []
     for scales in asked.others:
         landing, unknowns = fall.solve(*scales, guess)
         guess = unknowns if guess is None else guess
-        found.append(landing)
-    return fall.greatest_acceleration(1.0), [*found, flown(asked, config, engine)]
+        falls.append(landing)
+    return fall.greatest_acceleration(1.0), [*falls, flown(asked, config, engine)]
 
 
 def heights(asked: HeightLost, flights: Mapping[str, rust.Config]) -> Findings:
@@ -374,28 +374,28 @@ def heights(asked: HeightLost, flights: Mapping[str, rust.Config]) -> Findings:
     for place, name in enumerate(("spool_up", "thrust")):
         variables[name] = ("others", [scales[place] for scales in asked.others], {"units": "1"})
     data = xr.Dataset(variables, {"robot": list(flights), "engine": list(asked.engines)})
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for robot, engine in product(data["robot"].values, data["engine"].values):
         name, one = f"{robot}, {engine}", data.sel(robot=robot, engine=engine)
-        found[f"{name}: greatest acceleration at the end [m/s2]"] = float(one["acceleration"])
+        numbers[f"{name}: greatest acceleration at the end [m/s2]"] = float(one["acceleration"])
         for field, unit in UNITS[Landing].items():
             for of in one["others"].values:
                 scales = f"spool-up {float(one['spool_up'][of]):g}, thrust {float(one['thrust'][of]):g}"
-                found[f"{name}, {scales}: {field} [{unit}]"] = float(one[field][of])
-            found[f"{name}, flown: {field} [{unit}]"] = float(one[f"flown_{field}"])
-    return Findings("Least height lost after an engine stops", data, _numbers(found), flights=flights)
+                numbers[f"{name}, {scales}: {field} [{unit}]"] = float(one[field][of])
+            numbers[f"{name}, flown: {field} [{unit}]"] = float(one[f"flown_{field}"])
+    return Findings("Least height lost after an engine stops", data, _numbers(numbers), flights=flights)
 
 
 def touchdowns(asked: HeightLost, flights: Mapping[str, rust.Config]) -> Findings:
     """Compute the gentlest touchdowns, and fly."""
-    found, labels = {}, list(losses_of(asked, next(iter(flights.values()))))
+    gentlest, labels = {}, list(losses_of(asked, next(iter(flights.values()))))
     for (robot, config), engine in product(flights.items(), asked.engines):
         for place, (flight, time) in losses_of(asked, config).items():
             best = Fall(asked, flight, time, engine).touch_down()
-            found[robot, engine, place] = best, touched(flight, engine, time)
-            print(robot, engine, place, *found[robot, engine, place], flush=True)
+            gentlest[robot, engine, place] = best, touched(flight, engine, time)
+            print(robot, engine, place, *gentlest[robot, engine, place], flush=True)
     axes = {"robot": list(flights), "engine": list(asked.engines), "place": labels, "of": ["optimum", "flown"]}
-    values = np.array(list(found.values())).reshape(*map(len, axes.values()), len(Touchdown._fields))
+    values = np.array(list(gentlest.values())).reshape(*map(len, axes.values()), len(Touchdown._fields))
     data = xr.Dataset(
         {
             field: (tuple(axes), values[..., place], {"units": unit})
@@ -405,7 +405,7 @@ def touchdowns(asked: HeightLost, flights: Mapping[str, rust.Config]) -> Finding
     )
     summary = {
         f"{', '.join(of)}: {field}, {what} [{unit.replace(' s-1', '/s')}]": getattr(end, field)
-        for of, ends in found.items()
+        for of, ends in gentlest.items()
         for what, end in zip(axes["of"], ends, strict=True)
         for field, unit in UNITS[Touchdown].items()
     }

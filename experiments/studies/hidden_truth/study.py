@@ -131,16 +131,16 @@ def row_of(seed: int, number: int, has_defects: bool, folder: Path) -> dict[str,
         known = identified(log)
     except Refused as reason:
         return row | {"verdict": str(reason)}
-    found = known.found
-    low, middle, high = (part[is_known].tolist() for part in estimates(file, found))
-    row |= {"low": low, "high": high, "value": middle, "share": found.share[is_known].tolist()}
+    estimate = known.found
+    low, middle, high = (part[is_known].tolist() for part in estimates(file, estimate))
+    row |= {"low": low, "high": high, "value": middle, "share": estimate.share[is_known].tolist()}
     against = [*(one.name for one in known.verdict.unexplained), *known.verdict.conflicts]
     row |= {"is_explained": known.verdict.is_explained, "verdict": ", ".join(against)}
     for name in DEFECTS if has_defects else ():
         changed = with_payload(drawn, gains, rng) if name == DEFECTS[0] else bent(log, rng)
         other = identified(changed)
-        free = found.prior > 0.0
-        wider = np.exp(np.mean(np.log(other.found.deviation[free] / found.deviation[free])))
+        free = estimate.prior > 0.0
+        wider = np.exp(np.mean(np.log(other.found.deviation[free] / estimate.deviation[free])))
         row[name] = int(not other.verdict.is_explained or wider > WIDER)
     return row
 
@@ -217,8 +217,8 @@ def whole(model: RobotModel, actual: RobotModel, posture: Array) -> tuple[Array,
     )
 
     def places(coms: Array) -> Array:
-        found: Array = positions + np.einsum("bij,bj->bi", rotations, coms)
-        return found
+        placed: Array = positions + np.einsum("bij,bj->bi", rotations, coms)
+        return placed
 
     def spread(masses: Array, coms: Array) -> float:
         return float(masses @ np.sum((places(coms) - masses @ places(coms) / masses.sum()) ** 2, axis=1))

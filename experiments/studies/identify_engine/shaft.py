@@ -176,21 +176,21 @@ def zero_drift(bench: Bench, span: tuple[float, float]) -> Array:
         return np.zeros(bench.time.size)
     impulse = np.cumsum(np.maximum(fill(bench.thrust), 0.0) * np.gradient(bench.time))
     zeros = [np.median(bench.thrust[rows]) for rows in ends]
-    found: Array = np.interp(impulse, [impulse[rows[0]] for rows in ends], zeros)
-    return found
+    zero: Array = np.interp(impulse, [impulse[rows[0]] for rows in ends], zeros)
+    return zero
 
 
 def ramps(run: Run) -> dict[str, float]:
     """Return the greatest rates of the wanted speed [1/s]: those of its longest ways up and down without a stop."""
     change = np.diff(run.wanted)
-    found = {}
+    rates = {}
     for name, sign in (("ramp_up", 1.0), ("ramp_down", -1.0)):
         moves = np.concatenate([[0], (sign * change > 0.0).astype(int), [0]])
         starts, ends = (np.flatnonzero(np.diff(moves) == step) for step in (1, -1))
         ways = [(sign * change[a:b].sum(), b - a) for a, b in zip(starts, ends, strict=True)]
         way, steps = max(ways, default=(np.inf, 1))
-        found[name] = way / (steps * STEP)
-    return found
+        rates[name] = way / (steps * STEP)
+    return rates
 
 
 def identify(run: Run) -> Fitted:
@@ -220,14 +220,14 @@ def identify(run: Run) -> Fitted:
         off, slope = jax.jit(residual), jax.jit(jax.jacfwd(residual))
 
         def fit(start: Array, weight: Array) -> Array:
-            found = least_squares(
+            solution = least_squares(
                 lambda x: np.asarray(off(x, weight)),
                 start,
                 lambda x: np.asarray(slope(x, weight)),
                 bounds=(LEAST * scale, GREATEST * scale),
                 x_scale=scale,
             )
-            return np.asarray(found.x)
+            return np.asarray(solution.x)
 
         all_rows = np.ones(run.time.size)
         whole = fit(start, all_rows)
@@ -254,8 +254,8 @@ def spread(gradient: Array, residuals: Array, block: Array) -> Array:
     signals = residuals.size // block.size
     scores = np.zeros((block.max() + 1, gradient.shape[1]))
     np.add.at(scores, np.tile(block, signals), gradient * residuals[:, None])
-    found = np.sqrt(np.diag(inverse @ scores.T @ scores @ inverse))
-    return np.where(np.abs(gradient).max(axis=0) > 0.0, found, np.inf)
+    deviations = np.sqrt(np.diag(inverse @ scores.T @ scores @ inverse))
+    return np.where(np.abs(gradient).max(axis=0) > 0.0, deviations, np.inf)
 
 
 def _named(free: list[str], values: Any, given: dict[str, float]) -> dict[str, Any]:
@@ -284,13 +284,13 @@ def predict(run: Any, numbers: dict[str, Any]) -> tuple[Any, Any, Any]:
 
 def listing(run: Run, fitted: Fitted) -> dict[str, str]:
     """Return every number of an engine with its unit and interval, by name."""
-    found = {"speed_max [rpm]": f"{run.speed_max:.0f}"} if np.isfinite(run.speed_max) else {}
+    texts = {"speed_max [rpm]": f"{run.speed_max:.0f}"} if np.isfinite(run.speed_max) else {}
     for name, value in fitted.numbers.items():
         least, greatest = fitted.interval.get(name, (value, value))
         of = f"({least:.3g} to {greatest:.3g})" if np.isfinite(greatest) else "(not reached)"
         text = f"{value:.4g}" if name not in fitted.interval else f"{value:.4g} {of}"
-        found[f"{name} [{UNITS.get(name, '1')}]"] = text
-    return found
+        texts[f"{name} [{UNITS.get(name, '1')}]"] = text
+    return texts
 
 
 def errors(run: Run, speed: Array, thrust: Array, full: float, label: str) -> dict[str, float]:
@@ -298,7 +298,7 @@ def errors(run: Run, speed: Array, thrust: Array, full: float, label: str) -> di
 
     Thrusts are compared without the drift of their zero, and, as logged, with it.
     """
-    found = {}
+    figures = {}
     for way, rows in (("rise", run.rises), ("fall", np.logical_not(run.rises))):
         off = {
             "speed [% of full speed]": 100.0 * (speed - run.speed),
@@ -309,5 +309,5 @@ def errors(run: Run, speed: Array, thrust: Array, full: float, label: str) -> di
         for what, values in off.items():
             known = values[rows & np.isfinite(values)]
             if known.size and np.any(known):
-                found[f"{label}, {way}: rms error of {what}"] = float(np.sqrt(np.mean(known**2)))
-    return found
+                figures[f"{label}, {way}: rms error of {what}"] = float(np.sqrt(np.mean(known**2)))
+    return figures

@@ -132,14 +132,14 @@ def states_of(config: rust.Config) -> xr.Dataset:
     log, (_, _, ahead) = rust.fly(config).log, waypoints.start_of(config)
     height = log["com_position"][:, 2] - log["com_position"][0, 2]
     up = rust.rotation_from_wxyz(log["base_quaternion"])[:, :, 2]
-    found = {
+    states = {
         "speed": np.linalg.norm(log["com_velocity"][:, :2], axis=1),
         "height": height,
         "lean": np.degrees(np.arcsin(np.clip(up @ ahead, -1.0, 1.0))),
     }
     aloft = np.flatnonzero(height > ON_GROUND)
     chosen = slice(aloft[0], aloft[-1] + 1, round(SAMPLE / config["controller"]["time_step"]))
-    return xr.Dataset({key: ("time", one[chosen]) for key, one in found.items()}, {"time": log["time"][chosen]})
+    return xr.Dataset({key: ("time", one[chosen]) for key, one in states.items()}, {"time": log["time"][chosen]})
 
 
 def shares_at(share: xr.DataArray, states: xr.Dataset) -> xr.DataArray:
@@ -185,22 +185,22 @@ def compute(_: str, asked: LandingMap) -> Findings:
 
 def _summary(asked: LandingMap, data: xr.Dataset) -> dict[str, dict[str, float]]:
     """Return shares of the map by height, and how long each engine's loss is outside on each mission."""
-    found: dict[str, dict[str, float]] = {}
+    shares: dict[str, dict[str, float]] = {}
     for engine, (phase, lean) in itertools.product(asked.engines, zip(PHASES, data["lean"].values, strict=True)):
         for speed in asked.speeds if lean else data["speed"].values:
             cell = data["share"].sel(engine=engine, lean=lean, speed=speed)
             name = f"{engine}, {phase} at {speed:g} m/s" if speed else f"{engine}, hover"
-            found[name] = {f"{height:g} m [%]": 100.0 * float(cell.sel(height=height)) for height in asked.heights}
+            shares[name] = {f"{height:g} m [%]": 100.0 * float(cell.sel(height=height)) for height in asked.heights}
     for mission, engine in itertools.product(data["mission"].values, asked.engines):
         one = data.sel(mission=mission, engine=engine)
-        found[f"{mission}, {engine}"] = {
+        shares[f"{mission}, {engine}"] = {
             "in the air [s]": float(one["aloft"]),
             "outside by the map [s]": SAMPLE * int((one["map"] < asked.share).sum()),
             "outside as flown [s]": asked.every * int((one["flown"] < asked.share).sum()),
             "land at any time [%]": 100.0 * float(one["flown"].mean()),
             "least share by the map [%]": 100.0 * float(one["map"].min()),
         }
-    return found
+    return shares
 
 
 STUDY = Study("landing_map", __doc__, LandingMap, compute, ("robot",), backend="rust")

@@ -132,8 +132,8 @@ def errors_of(network: Network, judges: Sequence[Record], robot: RobotModel, cho
 def merit(errors: Mapping[str, Array], rng: np.random.Generator) -> dict[str, float]:
     """Return medians, numbers lost and the figure of merit of errors by model, infinite where a flight was lost."""
     medians = {name: float(np.median(rows)) for name, rows in errors.items()}
-    found = {f"{name}, median": value for name, value in medians.items()}
-    found |= {f"{name}, lost": float(np.isinf(rows).sum()) for name, rows in errors.items()}
+    figures = {f"{name}, median": value for name, value in medians.items()}
+    figures |= {f"{name}, lost": float(np.isinf(rows).sum()) for name, rows in errors.items()}
     count = len(next(iter(errors.values())))
     drawn = {name: np.empty(DRAWS) for name in errors}
     for draw in range(DRAWS):
@@ -147,8 +147,8 @@ def merit(errors: Mapping[str, Array], rng: np.random.Generator) -> dict[str, fl
         low, high = (
             np.quantile(spread[np.isfinite(spread)], (0.025, 0.975)) if np.isfinite(spread).any() else (np.nan,) * 2
         )
-        found |= {f"{name}, merit": float(value), f"{name}, merit from": float(low), f"{name}, merit to": float(high)}
-    return found
+        figures |= {f"{name}, merit": float(value), f"{name}, merit from": float(low), f"{name}, merit to": float(high)}
+    return figures
 
 
 def _share(nominal: Any, learnt: Any, true: Any) -> Any:
@@ -166,17 +166,17 @@ def judged(
 ) -> dict[str, dict[str, list[float]]]:
     """Return rotation and position errors [deg, cm] of all winds by model, infinite for lost flights."""
     forward = np.asarray(robot.forward_axis)
-    found: dict[str, dict[str, list[float]]] = {}
+    by_model: dict[str, dict[str, list[float]]] = {}
     for name, model in models.items():
-        found[name] = {figure: [] for figure in FIGURES}
+        by_model[name] = {figure: [] for figure in FIGURES}
         for number in range(asked.winds):
             seed = asked.seed + 1000
             errors = worlds.errors_of(seed, number) if anemometer == "wrong" else None
             flown = worlds.fly(worlds.judging(law, profile, seed, number, air, model), errors, forward)
             for figure, (key, factor) in FIGURES.items():
                 is_lost = flown.outcome != "completed"
-                found[name][figure].append(np.inf if is_lost else float(flown.summary[key]) * factor)
-    return found
+                by_model[name][figure].append(np.inf if is_lost else float(flown.summary[key]) * factor)
+    return by_model
 
 
 # --- the study ---------------------------------------------------------------------------------------------------
@@ -194,11 +194,11 @@ def compute(name: str, asked: LearntAir, work: Work) -> Findings:
 
 
 def _records(count: int, air: Mapping[str, Any], robot: RobotModel, folder: Path, kind: str, seed: int) -> list[Record]:
-    found = []
+    made = []
     for number in range(count):
         config = worlds.learning(seed, number, count, air, kind, folder)
-        found.append(Record(config, robot, f"{kind}-{number}"))
-    return found
+        made.append(Record(config, robot, f"{kind}-{number}"))
+    return made
 
 
 def _say(text: str) -> None:
@@ -226,12 +226,12 @@ def _cells(
                 _say(f"{len(records)} flights to learn from, {len(judges)} that judge")
             flights = _seen(records, anemometer, asked.seed, robot)
             start = time.process_time()
-            found = from_flights.learn(settings, flights, robot)
+            learnt = from_flights.learn(settings, flights, robot)
             seconds[f"learning, {anemometer}"] = time.process_time() - start
             zero = np.zeros((robot.aero_links.count, refit.TERMS))
             coefficients = {"nothing": zero, "nominal": robot.aero_links.coefficients[NOMINAL]}
             networks = {key: refit.as_network(robot, np.asarray(rows)) for key, rows in coefficients.items()}
-            networks |= {"refit": found.refit, "learnt": found.network}
+            networks |= {"refit": learnt.refit, "learnt": learnt.network}
             wrench = {key: errors_of(network, judges, robot) for key, network in networks.items()}
             if asked.controls and anemometer == "exact":
                 wrench |= _controls(settings, flights, judges, robot, summary)
@@ -288,15 +288,15 @@ def _seen(records: Sequence[Record], anemometer: str, seed: int, robot: RobotMod
     """Return what flights hold of the air by an anemometer."""
     if anemometer == "exact":
         return [record.flight for record in records]
-    forward, config, found = (
+    forward, config, flights = (
         np.asarray(robot.forward_axis),
         rust.load_config("robot", {"controller.aero": {"model": "off"}}),
         [],
     )
     for number, record in enumerate(records):
         log = worlds.misread(record.log, seed, number, forward)
-        found.append(observed.flight_of(record.flight.name, log, config, robot))
-    return found
+        flights.append(observed.flight_of(record.flight.name, log, config, robot))
+    return flights
 
 
 def _controls(
@@ -312,7 +312,7 @@ def _controls(
     for one, other in zip(flights, [*flights[half:], *flights[:half]], strict=True):
         cut = {key: getattr(one, key)[:length] for key in ("turn", "joints", "wrench", "is_valid")}
         shuffled.append(one._replace(**cut, air=other.air[:length], pressure=other.pressure[:length]))
-    found = {
+    errors = {
         "learnt, winds of other flights": errors_of(
             from_flights.learn(settings, shuffled, robot).network, judges, robot
         )
@@ -327,12 +327,12 @@ def _controls(
     facts = observed.known(without, robot)
     summary["sectors named as unknown"] = ", ".join(observed.unknown(facts))
     network = from_flights.learn(settings, [flight for flight in without if flight.seconds > 5.0], robot).network
-    found["learnt without a sector, in it"] = errors_of(network, judges, robot, in_sector)
-    found["learnt without a sector, elsewhere"] = errors_of(network, judges, robot, lambda *row: ~in_sector(*row))
+    errors["learnt without a sector, in it"] = errors_of(network, judges, robot, in_sector)
+    errors["learnt without a sector, elsewhere"] = errors_of(network, judges, robot, lambda *row: ~in_sector(*row))
     for key in (NOMINAL,):
         coefficients = refit.as_network(robot, np.asarray(robot.aero_links.coefficients[key]))
-        found["nominal, in that sector"] = errors_of(coefficients, judges, robot, in_sector)
-    return found
+        errors["nominal, in that sector"] = errors_of(coefficients, judges, robot, in_sector)
+    return errors
 
 
 def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder: Path, work: Work) -> Findings:
@@ -340,7 +340,7 @@ def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder
     judges = _records(asked.judges, air, robot, folder, "mixed", asked.seed + 500)
     nominal = np.asarray(robot.aero_links.coefficients[NOMINAL])
     zero = np.zeros_like(nominal)
-    found: dict[str, dict[str, Any]] = {}
+    figures: dict[str, dict[str, Any]] = {}
     for kind in asked.kinds:
         most = round(max(asked.minutes) * 60.0 / SECONDS)
         every: list[Record] = []
@@ -364,9 +364,9 @@ def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder
                 kept["refit"] = _judged_alone(asked, learnt.refit, air, judges, robot, folder)
                 work.write_json(job, kept)
                 _say(f"{job}: {kept}")
-            found |= {f"{job}, {model}": row for model, row in kept.items()}
+            figures |= {f"{job}, {model}": row for model, row in kept.items()}
     lines = {"nothing": refit.as_network(robot, zero), "nominal": refit.as_network(robot, nominal), "true": None}
-    found |= {name: _judged_alone(asked, network, air, judges, robot, folder) for name, network in lines.items()}
+    figures |= {name: _judged_alone(asked, network, air, judges, robot, folder) for name, network in lines.items()}
     shape = (len(asked.kinds), len(asked.minutes), len(LEARNERS))
     measures = {"force": "N", "moment": "N m", "rotation": "degree", "lost": "1"}
     titles = {f"{measure} [{unit}]" if unit != "1" else measure: measure for measure, unit in measures.items()}
@@ -374,16 +374,16 @@ def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder
     data["minutes"].attrs["units"] = "min"
     for title, measure in titles.items():
         rows = [
-            found[f"{kind}, {minutes:g} minutes, {model}"][title]
+            figures[f"{kind}, {minutes:g} minutes, {model}"][title]
             for kind in asked.kinds
             for minutes in asked.minutes
             for model in LEARNERS
         ]
         data[measure] = ("kind", "minutes", "model"), np.reshape(rows, shape), {"units": measures[measure]}
-        data[f"{measure}_line"] = "line", [found[line][title] for line in lines], {"units": measures[measure]}
+        data[f"{measure}_line"] = "line", [figures[line][title] for line in lines], {"units": measures[measure]}
     flights_of = {law: rust.load_config(law) for law in ("robot", asked.laws[0])}
     title = "How much flight it takes to learn the air"
-    return Findings(title, data.assign_coords(line=list(lines)), found, flights=flights_of, files=[SETTINGS])
+    return Findings(title, data.assign_coords(line=list(lines)), figures, flights=flights_of, files=[SETTINGS])
 
 
 def _judged_alone(
@@ -409,22 +409,26 @@ def _judged_alone(
 def _dataset(asked: LearntAir, errors: Mapping[tuple[str, str, str], Any]) -> xr.Dataset:
     """Return the errors of every flight."""
     shape = (len(asked.laws), 2, len(asked.anemometers), len(MODELS), asked.winds)
-    found = {figure: np.full(shape, np.nan) for figure in FIGURES}
+    by_figure = {figure: np.full(shape, np.nan) for figure in FIGURES}
     profiles = ("gust", "turbulence")
     for (law, profile, anemometer), flown in errors.items():
         place = asked.laws.index(law), profiles.index(profile), asked.anemometers.index(anemometer)
         for number, model in enumerate(MODELS):
             for figure in FIGURES:
-                found[figure][(*place, number)] = flown[model][figure]
+                by_figure[figure][(*place, number)] = flown[model][figure]
     dims = ("law", "profile", "anemometer", "model", "wind")
     return xr.Dataset(
         {
             "rotation": (
                 dims,
-                found["rotation"],
+                by_figure["rotation"],
                 {"units": "degree", "long_name": "greatest rotation error; inf: lost"},
             ),
-            "position": (dims, found["position"], {"units": "cm", "long_name": "greatest error of the CoM; inf: lost"}),
+            "position": (
+                dims,
+                by_figure["position"],
+                {"units": "cm", "long_name": "greatest error of the CoM; inf: lost"},
+            ),
         },
         {
             "law": list(asked.laws),

@@ -91,12 +91,12 @@ def misread(log: Mapping[str, Array], seed: int, number: int, forward: Array) ->
     """Return a log whose wind was measured with errors; the controller that flew it uses no wind."""
     errors, wind = errors_of(seed, number), log["raw_wind"]
     late = round(LATE / (log["time"][1] - log["time"][0]))
-    found = wind[np.maximum(np.arange(len(wind)) - late, 0)] + errors["bias"]
-    found = found + NOISE * np.random.default_rng(errors["seed"]).normal(size=wind.shape)
+    measured = wind[np.maximum(np.arange(len(wind)) - late, 0)] + errors["bias"]
+    measured = measured + NOISE * np.random.default_rng(errors["seed"]).normal(size=wind.shape)
     turns = rust.rotation_from_wxyz(log["base_quaternion"])
     stands = np.array([in_wake(*row, forward) for row in zip(wind, turns, strict=True)])
-    found[stands] *= WAKE
-    return {**log, "raw_wind": found, "measured_wind": found}
+    measured[stands] *= WAKE
+    return {**log, "raw_wind": measured, "measured_wind": measured}
 
 
 # --- flights -----------------------------------------------------------------------------------------------------

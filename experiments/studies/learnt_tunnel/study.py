@@ -100,9 +100,9 @@ def learn(
     batch = min(BATCH, len(windows.x))
     epochs = max(1, asked.steps // -(-len(windows.x) // batch))
     training = structs.replace(settings.training, epochs=epochs, batch=batch, validate_every=epochs)
-    found = fit(start, windows, None, training, seed, objective=objective)
+    fitted = fit(start, windows, None, training, seed, objective=objective)
     nominal = np.asarray(robot.aero_links.coefficients[NOMINAL])
-    return found.network, refit.as_network(robot, refit.refit(robot, windows, objective, nominal))
+    return fitted.network, refit.as_network(robot, refit.refit(robot, windows, objective, nominal))
 
 
 def errors(network: Network, points: Flight, robot: RobotModel) -> tuple[float, float]:
@@ -132,29 +132,29 @@ def compute(_: str, asked: Tunnel) -> Findings:
         "network of CFD": load_network(CFD, robot),
     }
     rng, most = np.random.default_rng(asked.seed), max(asked.postures)
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in fixed}
-    found |= {f"{model}, {count} postures": [] for count in asked.postures for model in LEARNERS}
+    by_model: dict[str, list[tuple[float, float]]] = {name: [] for name in fixed}
+    by_model |= {f"{model}, {count} postures": [] for count in asked.postures for model in LEARNERS}
     for order in range(asked.orders):
         first, last = split(names.tolist(), most, rng)
         judges = take(points, np.flatnonzero(np.isin(names, list(last))))
         for name, network in fixed.items():
-            found[name].append(errors(network, judges, robot))
+            by_model[name].append(errors(network, judges, robot))
         for count in asked.postures:
             taught = take(points, np.flatnonzero(np.isin(names, first[:count])))
             for model, base in (("learnt", "none"), ("learnt on nominal", NOMINAL)):
                 settings, _unused = from_flights.read_settings(SETTINGS, {"network.baseline": base})
                 network, fitted = learn(asked, settings, taught, robot, asked.seed + order)
-                found[f"{model}, {count} postures"].append(errors(network, judges, robot))
-            found[f"refit of nominal, {count} postures"].append(errors(fitted, judges, robot))
+                by_model[f"{model}, {count} postures"].append(errors(network, judges, robot))
+            by_model[f"refit of nominal, {count} postures"].append(errors(fitted, judges, robot))
         print(f"{time.process_time():.0f} s: {order + 1} of {asked.orders} orders", file=sys.stderr, flush=True)
-    rows, nominal = np.array(list(found.values())), np.array(found["nominal"])
+    rows, nominal = np.array(list(by_model.values())), np.array(by_model["nominal"])
     summary: dict[str, Any] = {
         name: {
             "force [N]": float(np.median(of[:, 0])),
             "moment [N m]": float(np.median(of[:, 1])),
             "orders with a smaller error of the force than nominal": int(np.sum(of[:, 0] < nominal[:, 0])),
         }
-        for name, of in zip(found, rows, strict=True)
+        for name, of in zip(by_model, rows, strict=True)
     }
     own = 0.5 * AIR_DENSITY * SPEED**2 * data["u_total"].values
     summary["points, postures"] = [len(names), len(set(names))]
@@ -164,7 +164,7 @@ def compute(_: str, asked: Tunnel) -> Findings:
             "force": (("model", "order"), rows[:, :, 0], {"units": "N", "long_name": "rms error at 10 m/s"}),
             "moment": (("model", "order"), rows[:, :, 1], {"units": "N m", "long_name": "rms error at 10 m/s"}),
         },
-        {"model": list(found)},
+        {"model": list(by_model)},
     )
     title = "What postures in the wind tunnel teach of others"
     weights = CFD.with_suffix(".safetensors")

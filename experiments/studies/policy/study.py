@@ -164,8 +164,8 @@ def compute(_: str, config: PolicyConfig, work: Work) -> Findings:
         trainer, network = config.training()
         judge = judge_of(config, network)
         runs = [_train(trainer, seed, config, judge, work) for seed in seeds]
-        found = [judge(run.parameters, config.episodes) for run, _ in runs]
-    earned, survived = (np.array(of) for of in zip(*found, strict=True))
+        pairs = [judge(run.parameters, config.episodes) for run, _ in runs]
+    earned, survived = (np.array(of) for of in zip(*pairs, strict=True))
     summary: dict[str, Any] = {}
     texts: dict[str, str | bytes] = {}
     robot = load_robot(flight["robot"])
@@ -245,7 +245,7 @@ def rewards_in_crate(config: dict[str, Any], task: Task) -> list[float]:
         SimpleNamespace(**config["simulator"]["fall"]),
     )
     effects = np.repeat([task.thrust_rate, task.joint_velocity], [len(robot.jet_names), len(robot.joint_names)])
-    nothing, still, found = np.zeros(0), np.zeros(3), list[float]()
+    nothing, still, earned = np.zeros(0), np.zeros(3), list[float]()
     first = flight.truth.state
     aim = Aim(rust.dynamics(robot, first).com_position, np.asarray(first.base_rotation), still, still)
     for _ in range(task.ticks(config["controller"]["time_step"])):
@@ -254,8 +254,8 @@ def rewards_in_crate(config: dict[str, Any], task: Task) -> list[float]:
         seen = TaskState(np.asarray(now.base_rotation), nothing, nothing, nothing, com, aim, nothing, nothing, nothing)
         if not goes_on or is_lost(np, seen, fall):
             break
-        found.append(float(sum(rewards(np, seen, flight.last.residual / effects).values())))
-    return found
+        earned.append(float(sum(rewards(np, seen, flight.last.residual / effects).values())))
+    return earned
 
 
 STUDY = Study("policy", __doc__, PolicyConfig, compute, ("hover",), backend="jax", resumes=True)

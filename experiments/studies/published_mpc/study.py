@@ -153,11 +153,11 @@ def figures(flights: list[Any]) -> dict[str, float]:
     """Return share and medians of the flights of a cell; errors of those that completed."""
     completed = [one for one in flights if one[0]]
     low, high = wilson(len(completed), len(flights))
-    found = {"completed": len(completed), "flights": len(flights), "low": low, "high": high}
+    cell = {"completed": len(completed), "flights": len(flights), "low": low, "high": high}
     for at, name in ((2, "rotation_error_deg"), (3, "com_error_m")):
         values = [one[at] for one in completed]
-        found |= {name: float(np.median(values)), f"{name}_max": max(values)} if values else {}
-    return found
+        cell |= {name: float(np.median(values)), f"{name}_max": max(values)} if values else {}
+    return cell
 
 
 def _padded(flown: Mapping[str, list[Any]], at: int, most: int) -> Any:

@@ -50,12 +50,12 @@ def fit(asked: Friction, flown: rust.Config, recorded: Mapping[str, float]) -> d
         scales = {name: TOLERANCE[name[name.rindex("[") :]] for name in recorded}
         return np.array([(figures.get(name, FELL) - recorded[name]) / scale for name, scale in scales.items()])
 
-    found = least_squares(residuals, asked.start, bounds=([0.0, 0.0], [10.0, 1.0]), diff_step=STEP, max_nfev=STEPS)
+    solution = least_squares(residuals, asked.start, bounds=([0.0, 0.0], [10.0, 1.0]), diff_step=STEP, max_nfev=STEPS)
     other = simulate(np.array(asked.others))[0]
     return {
-        "fitted friction without load [N m]": found.x[0],
-        "fitted share of the load": found.x[1],
-        "greatest difference of the fit over its tolerance": float(np.abs(found.fun).max()),
+        "fitted friction without load [N m]": solution.x[0],
+        "fitted share of the load": solution.x[1],
+        "greatest difference of the fit over its tolerance": float(np.abs(solution.fun).max()),
         "with the numbers of the other joints": f"{other.outcome} at {other.log['time'][-1]:.1f} s",
     }
 

@@ -38,7 +38,7 @@ def moved(signals: Mapping[str, Array], config: rust.Config) -> dict[str, float]
     com = centre_of_mass(signals, robot)[:, along]
     begun = time >= wind["ramp_start"]
     still = com[(time >= wind["ramp_start"] - 1.0) & ~begun].mean()
-    found = {
+    changes = {
         "centre of mass [mm]": 1e3 * abs(float(change(com))),
         "onset [s]": float(time[begun][(np.abs(com[begun] - still) > VISIBLE).argmax()] - wind["ramp_start"]),
     }
@@ -46,9 +46,9 @@ def moved(signals: Mapping[str, Array], config: rust.Config) -> dict[str, float]
     mirror = np.array([0.5, (0.5, -0.5)[along]])  # roll joints turn their legs the other way
     for name, leg in zip(JOINTS[along], legs, strict=True):
         words = name.replace("_", " ")
-        found[f"{words} [deg]"] = float(np.degrees(change(positions)[leg]) @ mirror)
-        found[f"{words}, torque [N m]"] = float(change(signals["joint_torque_measured"])[leg] @ mirror)
-    return found
+        changes[f"{words} [deg]"] = float(np.degrees(change(positions)[leg]) @ mirror)
+        changes[f"{words}, torque [N m]"] = float(change(signals["joint_torque_measured"])[leg] @ mirror)
+    return changes
 
 
 def centre_of_mass(signals: Mapping[str, Array], robot: rust.Robot) -> Array:

@@ -149,7 +149,7 @@ def noisy(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> dict[
         flat = rows.reshape(len(rows), -1)
         return np.asarray(uniform_filter1d(flat, length, axis=0)[length:-length])
 
-    found = {}
+    shares = {}
     for name, words in (
         ("momentum_rate_estimate", "momentum rate"),
         ("contact_force_rate", "rates of the foot wrenches"),
@@ -157,8 +157,8 @@ def noisy(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> dict[
     ):
         ours, theirs = mean(computed[name]), mean(recorded[name])
         share = np.sqrt(((ours - theirs) ** 2).mean()) / np.ptp(theirs, axis=0).max()
-        found[f"{AS_FLOWN}: {words}, mean of {MEAN:g} s, rms over the greatest range [%]"] = 100.0 * float(share)
-    return found
+        shares[f"{AS_FLOWN}: {words}, mean of {MEAN:g} s, rms over the greatest range [%]"] = 100.0 * float(share)
+    return shares
 
 
 def to_dataset(recorded: Mapping[str, Array], computed: Mapping[str, Mapping[str, Array]], robot: rust.Robot) -> Any:

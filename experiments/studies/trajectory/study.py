@@ -164,7 +164,7 @@ def figures(label: str, dataset: xr.Dataset, name: str) -> dict[str, float | str
     arrived = float(dataset.attrs[f"arrival_{name}"])
     moving = (t >= 0.0) & ~(t > arrived)  # if it does not arrive, to its end
     thrust = dataset[f"thrust_{name}"].values[moving]
-    found: dict[str, float | str] = {
+    row: dict[str, float | str] = {
         f"{label}: arrives within {100 * ARRIVED:.0f} cm after [s]": arrived,
         f"{label}: fuel until then [l]": float(np.interp(arrived, t, dataset[f"fuel_{name}"].values)),
         f"{label}: greatest speed [m/s]": float(
@@ -173,8 +173,8 @@ def figures(label: str, dataset: xr.Dataset, name: str) -> dict[str, float | str
         f"{label}: thrusts [N]": f"{thrust.min():.1f} to {thrust.max():.1f}",
     }
     if f"com_error_{name}" in dataset:
-        found[f"{label}: outcome"] = str(dataset.attrs[f"outcome_{name}"])
-        found[f"{label}: peak CoM error [m]"] = float(dataset[f"com_error_{name}"].values[t >= 0.0].max())
+        row[f"{label}: outcome"] = str(dataset.attrs[f"outcome_{name}"])
+        row[f"{label}: peak CoM error [m]"] = float(dataset[f"com_error_{name}"].values[t >= 0.0].max())
         rotation = dataset[f"rotation_error_{name}"].values[t >= 0.0].max()
-        found[f"{label}: peak rotation error [deg]"] = float(np.degrees(rotation))
-    return found
+        row[f"{label}: peak rotation error [deg]"] = float(np.degrees(rotation))
+    return row

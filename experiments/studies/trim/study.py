@@ -97,8 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise Refused(f"--{name} is {parts}; expected three numbers, each at most {tables.LARGEST:g}")
         changes = overrides.parse(given.set)
         if given.map:
-            found = STUDY.run(given.name, changes, named=given.named, overwrite=given.overwrite)
-            return 0 if found["summary"]["trims found"] else 1
+            document = STUDY.run(given.name, changes, named=given.named, overwrite=given.overwrite)
+            return 0 if document["summary"]["trims found"] else 1
         trim = build(STUDY.read(given.name, changes)[1])
         trim.lost = _jet(trim, given.without)
         result = trim.solve(wind, velocity, given.objective or "min_thrust")
@@ -172,27 +172,27 @@ def compute(name: str, config: TrimConfig) -> Findings:
     """Solve for both objectives in every wind of a configuration."""
     trim = build(config)
     speeds, directions = config.map.speeds, config.map.directions_deg
-    found: dict[tuple[str, int, int], TrimResult] = {}
+    best: dict[tuple[str, int, int], TrimResult] = {}
     there = [(objective, d, s) for objective in OBJECTIVES for d in range(len(directions)) for s in range(len(speeds))]
     # There are many local minima: solve forwards from solved neighbours, then backwards, and keep the better solution.
     with tqdm(total=2 * len(there), desc=name, unit="wind", file=terminal(), disable=None, leave=False) as bar:
         for cells, step in ((there, -1), (there[::-1], 1)):
             for objective, d, s in cells:
                 wind = wind_from(speeds[s], directions[d])
-                neighbours = (found.get((objective, d, s + step)), found.get((objective, d + step, s)))
+                neighbours = (best.get((objective, d, s + step)), best.get((objective, d + step, s)))
                 starts: list[TrimResult | None] = [other for other in neighbours if other and other.feasible]
                 if step < 0:
                     starts.append(None)
                 tried = [trim.solve(wind, objective=objective, start=start) for start in starts]
-                if (objective, d, s) in found:
-                    tried.append(found[objective, d, s])
-                found[objective, d, s] = min(tried, key=lambda result: (not result.feasible, result.cost))
+                if (objective, d, s) in best:
+                    tried.append(best[objective, d, s])
+                best[objective, d, s] = min(tried, key=lambda result: (not result.feasible, result.cost))
                 bar.update()
-    dataset = _map_dataset(trim, found, speeds, directions)
-    trims = [result for result in found.values() if result.feasible]
+    dataset = _map_dataset(trim, best, speeds, directions)
+    trims = [result for result in best.values() if result.feasible]
     # A map without a trim is also a valid result, without residual and time.
     summary = {
-        "trims requested": len(found),
+        "trims requested": len(best),
         "trims found": len(trims),
         "largest residual of a trim [N, N m]": max((np.abs(r.residual).max() for r in trims), default=None),
         "median solve time of a trim [s]": float(np.median([r.solve_time for r in trims])) if trims else None,
@@ -213,11 +213,11 @@ def _feasible_speed(dataset: xr.Dataset) -> float:
 
 
 def _map_dataset(
-    trim: Trim, found: dict[tuple[str, int, int], TrimResult], speeds: Sequence[float], directions: Sequence[float]
+    trim: Trim, best: dict[tuple[str, int, int], TrimResult], speeds: Sequence[float], directions: Sequence[float]
 ) -> xr.Dataset:
     robot, grid = trim.model.robot, ("objective", "direction", "speed")
     shape = (len(OBJECTIVES), len(directions), len(speeds))
-    cells = [found[objective, d, s] for objective in OBJECTIVES for d in range(shape[1]) for s in range(shape[2])]
+    cells = [best[objective, d, s] for objective in OBJECTIVES for d in range(shape[1]) for s in range(shape[2])]
 
     def of_trim(name: str) -> list[float]:
         return [getattr(cell, name) if cell.feasible else np.nan for cell in cells]

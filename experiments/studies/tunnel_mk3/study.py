@@ -75,8 +75,8 @@ class Points(NamedTuple):
     @property
     def drag(self) -> Floats:
         """Return the drag areas (N,) [m²]."""
-        found: Floats = np.sum(self.force * self.wind, axis=1)
-        return found
+        areas: Floats = np.sum(self.force * self.wind, axis=1)
+        return areas
 
 
 def compute(_: str, config: TunnelConfig) -> Findings:
@@ -91,12 +91,12 @@ def compute(_: str, config: TunnelConfig) -> Findings:
     for name, model in models_of(robot, config.network).items():
         force, moment = modelled[name] = totals(robot, model, points)
         for group, rows in groups.items():
-            found = errors(points.take(rows), force[rows], moment[rows])
-            summary |= {f"{name}, {group}: {key}": value for key, value in found.items()}
+            of_group = errors(points.take(rows), force[rows], moment[rows])
+            summary |= {f"{name}, {group}: {key}": value for key, value in of_group.items()}
     for group, rows in groups.items():
-        found = errors(points.take(rows), np.zeros((rows.sum(), 3)), np.zeros((rows.sum(), 3)))
+        of_group = errors(points.take(rows), np.zeros((rows.sum(), 3)), np.zeros((rows.sum(), 3)))
         key = "moment, rms [N m at 10 m/s]"
-        summary |= {f"no moment, {group}: {key}": found[key]}
+        summary |= {f"no moment, {group}: {key}": of_group[key]}
     return Findings("Force areas of iRonCub-Mk3 beside the wind tunnel", to_dataset(points, modelled), summary)
 
 
@@ -150,11 +150,11 @@ def models_of(robot: RobotModel, network: Path | None) -> dict[str, Model]:
             coefficients, link_axes(robot, joint_position(robot, joints)), wind
         )
 
-    found = {name: axisymmetric(np.asarray(areas)) for name, areas in robot.aero_links.coefficients.items()}
+    models = {name: axisymmetric(np.asarray(areas)) for name, areas in robot.aero_links.coefficients.items()}
     if network:
         table = {"model": "network", "card": str(network), "precision": "f32", "air_density": 1.225}
-        found["network"] = lambda joints, wind: evaluate_areas(robot, table, joints, SPEED * wind)
-    return found
+        models["network"] = lambda joints, wind: evaluate_areas(robot, table, joints, SPEED * wind)
+    return models
 
 
 def totals(robot: RobotModel, model: Model, points: Points) -> tuple[Floats, Floats]:
@@ -174,25 +174,27 @@ def errors(points: Points, force: Floats, moment: Floats) -> dict[str, float]:
         "force across the wind, rms [m2]": off - drag * points.wind,
         "moment, rms [N m at 10 m/s]": NEWTON_METRES * (moment - points.moment),
     }
-    found: dict[str, float] = {"points": len(off), "postures": len(np.unique(points.posture))}
-    found["drag, mean over mean"] = float(drag.mean() / mean)
+    figures: dict[str, float] = {"points": len(off), "postures": len(np.unique(points.posture))}
+    figures["drag, mean over mean"] = float(drag.mean() / mean)
     for name, values in parts.items():
-        found[name] = vector_rms(values)
+        figures[name] = vector_rms(values)
         for end, value in zip(("2.5 %", "97.5 %"), interval_by_posture(values, points.posture), strict=True):
-            found[f"{name}, {end}"] = value
-    return found
+            figures[f"{name}, {end}"] = value
+    return figures
 
 
 def signs_of_yaw(points: Points) -> dict[str, float]:
     """Return what forces say of the sign of the yaw: a force against the wind is none of the air."""
     rows = np.abs(points.yaw) > 5.5
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     for name, sign in (("opposite to the files'", 1.0), ("the files'", -1.0)):
         wind = points.wind * [1.0, sign, 1.0]
-        found[f"yaw {name}: lateral force with the wind, share"] = float(np.mean((points.force * wind)[rows, 1] > 0.0))
+        figures[f"yaw {name}: lateral force with the wind, share"] = float(
+            np.mean((points.force * wind)[rows, 1] > 0.0)
+        )
         drag = np.sum(points.force * wind, axis=1)[groups_of(points)["side wind"]]
-        found[f"yaw {name}: mean drag in side wind [m2]"] = float(drag.mean())
-    return found
+        figures[f"yaw {name}: mean drag in side wind [m2]"] = float(drag.mean())
+    return figures
 
 
 def to_dataset(points: Points, modelled: dict[str, tuple[Floats, Floats]]) -> xr.Dataset:

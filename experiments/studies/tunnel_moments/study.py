@@ -126,8 +126,8 @@ def moment_about_com(data: xr.Dataset, side: str, more: Callable[[str, str], Flo
             offset = offset if more is None else offset + more(str(campaign), str(kind))
             arms[chosen] = tunnel.base_from_balance("mk1", str(kind)) @ offset
     arms += tunnel.HIP - data["com"].values
-    found: Floats = data["moment_balance"].values + np.cross(arms, data["force_area"].values)
-    return found
+    moments: Floats = data["moment_balance"].values + np.cross(arms, data["force_area"].values)
+    return moments
 
 
 def compare(data: xr.Dataset, volumes: Floats) -> tuple[Floats, Floats, Floats]:
@@ -185,22 +185,22 @@ def _resample(rng: np.random.Generator, cluster: Any, rows: Any) -> Floats:
 
 def summary(result: xr.Dataset) -> dict[str, float]:
     """Return rms errors with their intervals, and the effect of the published arms."""
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     alone = result["robot_only"] == 1
     for group in GROUPS:
         rows = alone if group == "all" else alone & (result["kind"] == group)
         own = vector_rms(result["uncertainty"].values[rows.values])
-        found[f"{group}: the measurement's own standard deviation [N m]"] = own * NEWTON_METRES
+        figures[f"{group}: the measurement's own standard deviation [N m]"] = own * NEWTON_METRES
         for side in SIDES:
             for name in result["model"].values:
                 for arms in ARMS if name != NOTHING else ARMS[:1]:
                     at = {"model": name, "side": side, "group": group, "arms": arms}
                     key = f"{group}, centre {side}, {name}, {arms}"
-                    found[f"{key}: rms [N m]"] = float(result["rms"].sel(at))
+                    figures[f"{key}: rms [N m]"] = float(result["rms"].sel(at))
                     for text, value in zip(("2.5 %", "97.5 %"), result["interval"].sel(at).values, strict=True):
-                        found[f"{key}: {text}"] = float(value)
+                        figures[f"{key}: {text}"] = float(value)
                 if name != NOTHING:
                     added = result["added"].sel(model=name, side=side, group=group).values
                     key = f"{group}, centre {side}, {name}: published arms add"
-                    found |= {f"{key}, {text}": float(value) for text, value in zip(ADDED, added, strict=True)}
-    return found
+                    figures |= {f"{key}, {text}": float(value) for text, value in zip(ADDED, added, strict=True)}
+    return figures

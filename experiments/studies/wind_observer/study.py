@@ -57,12 +57,12 @@ class WindEstimate(tables.Table, frozen=True):
 
 def compute(_: str, asked: WindEstimate) -> Findings:
     """Fly and judge the estimates."""
-    found: dict[str, dict[str, float]] = {}
+    by_world: dict[str, dict[str, float]] = {}
     for world in asked.worlds:
         for speed in asked.speeds:
             results = rust.fly_batch(list(configurations(world, speed, asked.flights, asked.seed)), full_log=True)
             errors, inside = zip(*(wind_errors(result.log) for result in results), strict=True)
-            found[f"{world}, {speed:g} m/s"] = {
+            by_world[f"{world}, {speed:g} m/s"] = {
                 "rms": float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
                 "inside": float(np.mean(np.concatenate(inside))),
                 "completed": sum(result.outcome == "completed" for result in results),
@@ -73,7 +73,7 @@ def compute(_: str, asked: WindEstimate) -> Findings:
         {
             key: (
                 ("world", "speed"),
-                np.array([figures[key] for figures in found.values()]).reshape(shape),
+                np.array([figures[key] for figures in by_world.values()]).reshape(shape),
                 {"units": unit, "long_name": name},
             )
             for key, (unit, name) in units.items()
@@ -85,7 +85,7 @@ def compute(_: str, asked: WindEstimate) -> Findings:
     )
     bases = sorted({WORLDS[world][0] for world in asked.worlds})
     flights = {base: rust.load_config(base) for base in bases}
-    return Findings("Wind from the wrench", data, found, flights=flights, files=[PERTURBATION])
+    return Findings("Wind from the wrench", data, by_world, flights=flights, files=[PERTURBATION])
 
 
 STUDY = Study("wind_observer", __doc__, WindEstimate, compute, ("turbulence",), backend="rust")

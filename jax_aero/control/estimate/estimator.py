@@ -189,8 +189,8 @@ def update(
 
     def given_at(age: Array | int) -> Order:
         place = jnp.minimum(age, jnp.maximum(before.ticks, 1)) - 1
-        found: Order = jax.tree.map(lambda x: x[place], before.orders)
-        return found
+        order: Order = jax.tree.map(lambda x: x[place], before.orders)
+        return order
 
     def acting(age: Array | int, late: tuple[float, float]) -> Order:
         """Return these inputs with the torques and thrust rates that act under them, the earlier ones for a share."""
@@ -305,8 +305,8 @@ def _correct(settings: Estimator, estimate: Estimate, line: Reading, age: Array)
     of_velocity, of_acceleration = jnp.where(has_arrived[4], settings.by_position, 0.0)
     innovation = measured.joint_position[places[4]] - now.joint_position
 
-    def correct_channel(channel: int, found: Array, said: Array) -> Array:
-        return found + share[channel] * (said - found)
+    def correct_channel(channel: int, estimated: Array, arrived: Array) -> Array:
+        return estimated + share[channel] * (arrived - estimated)
 
     rates = now.velocity[6:] + of_velocity / step * innovation
     state = State(

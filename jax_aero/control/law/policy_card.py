@@ -71,17 +71,17 @@ def load_policy(path: str | PathLike[str], robot: RobotModel) -> PolicyResidual:
         If the content is invalid; the message names the file, the card's key or the tensor, its value and what was
         expected.
     """
-    found = rust.read_policy(path, robot.jets.names, robot.joint_names)
+    card = rust.read_policy(path, robot.jets.names, robot.joint_names)
     return PolicyResidual(
         policy=Policy(
-            tuple(Layer(*map(leaf, layer)) for layer in found["hidden"]),
-            Layer(*map(leaf, found["output"])),
-            leaf(found["direct"]),
+            tuple(Layer(*map(leaf, layer)) for layer in card["hidden"]),
+            Layer(*map(leaf, card["output"])),
+            leaf(card["direct"]),
         ),
-        features=found["features"],
-        scale=leaf(found["scale"]),
-        thrust_rate=leaf(found["thrust_rate"]),
-        joint_velocity=leaf(found["joint_velocity"]),
+        features=card["features"],
+        scale=leaf(card["scale"]),
+        thrust_rate=leaf(card["thrust_rate"]),
+        joint_velocity=leaf(card["joint_velocity"]),
         jets=robot.jets.count,
-        replaces=found["replaces"],
+        replaces=card["replaces"],
     )
