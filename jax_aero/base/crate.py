@@ -51,15 +51,15 @@ Config = dict[str, Any]
 """A resolved flight configuration: nested tables of plain values, including every default."""
 
 
-def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
-    """Read a flight configuration, merge its base files, apply overrides, and check it.
+def load_config(path: str | PathLike[str], changes: Mapping[str, Any] | None = None) -> Config:
+    """Read a flight configuration, merge its base files, apply changes, and check it.
 
     Parameters
     ----------
     path
         The name of an experiment, such as `test2`, or the path of a TOML file. A file anywhere reads as if it stood in
         `configs/experiments`: `base = "test2"`, and every path in it, means a file beside it, or else one from there.
-    overrides
+    changes
         Values by dotted key, such as `{"wind.velocity": [0, -12, 0]}`; arrays and paths are also accepted. Paths start
         at the current folder, and `false` removes what may be absent.
 
@@ -68,7 +68,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     ConfigError
         If a file or value is invalid; it has file, key, value, what was expected and suggestions as attributes.
     """
-    return parsed(_core.load_config(find("experiments", path), changes_to_json(overrides or {})))
+    return parsed(_core.load_config(find("experiments", path), changes_to_json(changes or {})))
 
 
 def check_config(config: Mapping[str, Any]) -> None:

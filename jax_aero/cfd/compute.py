@@ -23,7 +23,8 @@ from jax_aero.cfd.settings import Settings
 from jax_aero.cfd.simulate import Result, simulate
 from jax_aero.data.cfd import checks
 from jax_aero.data.ironcub import JOINTS
-from jax_aero.results import manifest, overrides, record, study
+from jax_aero.results import manifest, record, study
+from jax_aero.results.changes import options_of
 from jax_aero.results.identity import PYTHON, Identity
 from jax_aero.results.work import Work
 
@@ -88,7 +89,7 @@ def collect(design: Design, folder: Path) -> str:
         plain_values.to_builtins(design.spec),
         identity,
         summary=summary,
-        command=["jax-aero", KIND, design.name, *overrides.options(design.changes, design.named)],
+        command=["jax-aero", KIND, design.name, *options_of(design.changes, design.named)],
         backend="openfoam",
         refused=refused,
         quality=quality,

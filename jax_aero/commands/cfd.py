@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jax_aero.base.arguments import Parser
+from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import exit_status
 from jax_aero.cfd import compute, foam
 from jax_aero.cfd.design import KIND, Design
-from jax_aero.results import overrides, study
+from jax_aero.results import study
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def work() -> None:
         study.check_name(given)
         for name in given.names:
-            design = Design.read(name, overrides.parse(given.set), given.named)
+            design = Design.read(name, parse_assignments(given.set), given.named)
             folder = compute.folder_of(design, given.out)
             if not given.finish:
                 foam.environment()

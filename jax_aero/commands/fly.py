@@ -16,8 +16,10 @@ from typing import Any
 from jax_aero import rust
 from jax_aero.backends import MODULES
 from jax_aero.base import arguments, places
+from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused, exit_status
-from jax_aero.results import flight, overrides, study
+from jax_aero.results import flight, study
+from jax_aero.results.changes import folder_suffix
 from jax_aero.results.table import outcome_table
 
 
@@ -31,7 +33,7 @@ def main(words: Sequence[str]) -> int:
         return 0 if given.list else 2
 
     def work() -> None:
-        changes = overrides.parse([*given.set, *([f"backend={given.backend}"] if given.backend else [])])
+        changes = parse_assignments([*given.set, *([f"backend={given.backend}"] if given.backend else [])])
         study.check_name(given)
         if given.named and len(given.controller) > 1:
             raise Refused(f"--name is {given.named}, with {len(given.controller)} controllers; expected one controller")
@@ -41,7 +43,7 @@ def main(words: Sequence[str]) -> int:
         finished = []
         for controller in given.controller or [None]:
             flown = changes | (controller_change(controller) if controller else {})
-            suffix = f"{overrides.folder_suffix(changes)}--{named(controller)}" if len(given.controller) > 1 else None
+            suffix = f"{folder_suffix(changes)}--{named(controller)}" if len(given.controller) > 1 else None
             for path in paths:
                 name = path.stem + suffix if suffix else given.named
                 finished.append(flight.run(path, flown, named=name, **options))
@@ -76,7 +78,7 @@ def _fly_row(sweep: str, number: str, changes: Mapping[str, Any], **options: Any
     config = rust.set_keys(design.row_config(int(number)), changes)
     labels = ", ".join(str(level.label) for level in design.cells[design.place(int(number))[0]])
     config["title"] = f"{design.spec.title}: {labels}"
-    options["named"] = options["named"] or f"{design.spec.name}--row_{number}{overrides.folder_suffix(changes)}"
+    options["named"] = options["named"] or f"{design.spec.name}--row_{number}{folder_suffix(changes)}"
     options["out"] = options["out"] or places.RESULTS / "flight"
     return flight.run(study.find("sweeps", sweep), changes, config=config, **options)
 

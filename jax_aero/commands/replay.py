@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from jax_aero import replay, rust
 from jax_aero.base import arguments
 from jax_aero.base.files import complete_file
+from jax_aero.base.keys import parse_assignments
 from jax_aero.base.result import match_branch
 from jax_aero.base.terminal import Refused, exit_status
-from jax_aero.results import overrides, study
+from jax_aero.results import study
 from jax_aero.results.table import text_table
 from jax_aero.view import check_out, logs
 from jax_aero.view.export import column_name, write_csv
@@ -79,7 +80,7 @@ def _replay(given: argparse.Namespace) -> int:
             check_out(path, *formats)
             if path.exists() and not given.overwrite:
                 raise Refused(f"`{path}` is there already; choose another {option}, or --overwrite it")
-    changes = overrides.parse(given.set)
+    changes = parse_assignments(given.set)
     named = None if given.experiment is None else rust.load_config(given.experiment)
     log = logs.read(given.log, named, given.map, given.robot)
     config = named or log.config

@@ -24,8 +24,10 @@ from jax_aero.base import documents, places
 from jax_aero.base.arguments import Parser
 from jax_aero.base.cards import card_path, copy_card
 from jax_aero.base.files import lock_work, resolve
+from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused, exit_status, terminal
-from jax_aero.results import manifest, overrides, record, study
+from jax_aero.results import manifest, record, study
+from jax_aero.results.changes import folder_suffix
 from jax_aero.results.identity import PYTHON, Identity
 from jax_aero.results.work import Work
 from jax_aero.train import config, parts, result
@@ -53,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(given: argparse.Namespace) -> dict[str, Any]:
     """Train all parts and write the result, unless it exists; return the errors of the splits."""
     path = study.find("training", given.name)
-    changes = overrides.parse(given.set)
+    changes = parse_assignments(given.set)
     training, document = config.read(path, changes)
     if given.write:
         card_path(given.write)  # a wrong path is refused before the training
@@ -62,7 +64,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     dataset = load(given.dataset, training.robot_model)
     if training.mirrored:
         dataset = dataset.add_mirror_images()
-    named = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
+    named = given.out or RESULTS / (study.result_name("training", path) + folder_suffix(changes))
     folder = resolve(named)
     asked = {"training": document, "error": ERROR_UNIT, "data": dataset.sha256}
     identity = Identity.of(asked, [training.robot], [PYTHON])

@@ -2,7 +2,7 @@
 
 A kind of study consists of a type of configuration and a function from it to findings. The configuration is a TOML file
 of the study's folder, with paths relative to that file, or, if there is none, the defaults of the type. Keys
-changed by --set give a separate result (`overrides`). Keys, flights and every file named enter the digest,
+changed by --set give a separate result (`changes`). Keys, flights and every file named enter the digest,
 by which an outdated result is recognised.
 """
 
@@ -23,10 +23,11 @@ from jax_aero import rust
 from jax_aero.base import arguments, kinds, places, plain_values, tables
 from jax_aero.base.arguments import Parser, complete_with
 from jax_aero.base.files import lock_work
-from jax_aero.base.keys import parts, set_key
+from jax_aero.base.keys import parse_assignments, parts, set_key
 from jax_aero.base.references import file_hash
 from jax_aero.base.terminal import Refused, exit_status
-from jax_aero.results import manifest, overrides, record
+from jax_aero.results import manifest, record
+from jax_aero.results.changes import folder_suffix, options_of
 from jax_aero.results.identity import Identity
 from jax_aero.results.work import Work
 
@@ -103,7 +104,7 @@ class Study(Generic[C]):
         def work() -> None:
             check_name(given)
             for name in given.names:
-                self.run(name, overrides.parse(given.set), named=given.named, overwrite=given.overwrite)
+                self.run(name, parse_assignments(given.set), named=given.named, overwrite=given.overwrite)
 
         goes_on = "the same command goes on where this one stopped"
         return exit_status(work, interrupted=goes_on if self.resumes else "nothing was written")
@@ -132,8 +133,8 @@ class Study(Generic[C]):
         the computation. A result of others is replaced only with `overwrite`.
         """
         started = time.perf_counter()
-        options = overrides.options(changes or {}, named)
-        command = ["jax-aero", *self.command.split(), name, *self.options, *options]
+        given = options_of(changes or {}, named)
+        command = ["jax-aero", *self.command.split(), name, *self.options, *given]
         name, config = self.read(name, changes)
         folder = places.RESULTS / self.kind / folder_name(self.kind, places.name_of(name), changes or {}, named)
         with lock_work(folder):
@@ -251,7 +252,7 @@ def folder_name(kind: str, name: str, changes: Mapping[str, Any], named: str | N
     A name given to it must not be that of a shipped configuration, whose result would be taken for another one.
     """
     if named is None:
-        return name + overrides.folder_suffix(changes)
+        return name + folder_suffix(changes)
     if named in places.names(kind):
         raise Refused(f"--name is {named}, the name of {places.shown_folder(kind)}/{named}.toml; expected another")
     return named

@@ -34,10 +34,11 @@ from jax_aero.base import arguments, documents, places, tables
 from jax_aero.base.arguments import Parser, complete_with
 from jax_aero.base.cards import card_path, copy_card
 from jax_aero.base.files import lock_work, resolve
-from jax_aero.base.keys import set_key
+from jax_aero.base.keys import parse_assignments, set_key
 from jax_aero.base.terminal import ConfigError, Refused, exit_status, terminal
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.results import manifest, overrides, record, study
+from jax_aero.results import manifest, record, study
+from jax_aero.results.changes import folder_suffix
 from jax_aero.results.identity import Identity
 from jax_aero.results.table import text_table
 from jax_aero.results.work import Work
@@ -177,14 +178,14 @@ def read_settings(path: Path, changes: Mapping[str, Any]) -> tuple[FlightTrainin
 
 def run(given: argparse.Namespace) -> None:
     """Read the logs, train, and write the result, unless it exists."""
-    path, changes = study.find(KIND, given.base), overrides.parse(given.set)
+    path, changes = study.find(KIND, given.base), parse_assignments(given.set)
     settings, table = read_settings(path, changes)
     if given.write:
         card_path(given.write)  # a wrong path is refused before the training
     config, every = read_logs(given.logs, given.map, given.experiment, given.robot, settings.air_density)
     robot = load_robot(config["robot"])
     settings.start(robot, 0)  # a wrong baseline too
-    name = given.named or study.result_name(KIND, path) + overrides.folder_suffix(changes)
+    name = given.named or study.result_name(KIND, path) + folder_suffix(changes)
     folder = resolve(given.out or places.RESULTS / KIND / name)
     digest = digest_of(every)
     identity = Identity.of({"settings": table, "flights": digest}, [Path(config["robot"])])

@@ -72,8 +72,8 @@ def assert_same(agree, ours, theirs, index, names=None):
 class Twin:
     """The controller of an experiment in both implementations."""
 
-    def __init__(self, name, overrides=None):
-        self.table = rust.load_config(name, overrides)
+    def __init__(self, name, changes=None):
+        self.table = rust.load_config(name, changes)
         config = scenario_config(self.table)
         self.robot = load_robot(config.robot)
         self.params = tick.momentum_controller(config, self.robot)
@@ -120,7 +120,7 @@ def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
 
 
 @pytest.mark.parametrize(
-    ("name", "overrides"),
+    ("name", "changes"),
     [
         ("test2", {"disturbances.aero_estimate.scale": 0.7, "controller.aero_feedback.momentum_rate": "force"}),
         ("test2", {"controller.jacobian_offset": "base_rotation", "controller.aero_feedback.momentum_rate": "none"}),
@@ -137,9 +137,9 @@ def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
         ),
     ],
 )
-def test_switches(name, overrides, agree):
+def test_switches(name, changes, agree):
     """Everything that the aerodynamics of the controller enter, for every switch, one after the other."""
-    twin = Twin(name, overrides)
+    twin = Twin(name, changes)
     enters = (
         *("link_v_air", "link_arm_points", "link_jacobian_points", "aero_force", "lambda_a"),
         *("momentum_rate_estimate", "k_ddot_desired", "task", "task_offset", "joint_acceleration_free"),

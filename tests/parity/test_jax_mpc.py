@@ -28,8 +28,8 @@ OVERFLOW = (-299.0, -299.0, -299.0)
 """The strongest wind that is accepted: with tripled areas predictions overflow, so that no plan has an answer [m/s]."""
 
 
-def flight(overrides=None):
-    table = rust.load_config("test2_mpc", overrides)
+def flight(changes=None):
+    table = rust.load_config("test2_mpc", changes)
     config = scenario_config(table)
     robot = load_robot(config.robot)
     return table, robot, tick.momentum_controller(config, robot)

@@ -24,9 +24,9 @@ from experiments.report import blocks as tables_of_pages
 from experiments.tools import schema
 from jax_aero import cli, rust
 from jax_aero.base import places, tables
+from jax_aero.base.keys import parse_assignments
 from jax_aero.commands import study as studies
 from jax_aero.figures.catalogue import FIGURES
-from jax_aero.results import overrides
 from jax_aero.sweep import spec
 from jax_aero.sweep.design import Design
 from tests.project.test_docs import FENCE, ROOT, name
@@ -140,7 +140,7 @@ def check_flights(names: list[str], options: list[str], text: str) -> None:
     A shipped card stands for one that a command of the page writes to `results`.
     """
     values = [value for option, value in itertools.pairwise(options) if option == "--set"]
-    changes = overrides.parse([re.sub(r"results/[\w/]+\.json", SHIPPED_CARD, value) for value in values])
+    changes = parse_assignments([re.sub(r"results/[\w/]+\.json", SHIPPED_CARD, value) for value in values])
     for flown in names:
         if flown in places.names("experiments"):
             rust.load_config(flown, changes)

@@ -34,8 +34,8 @@ FUEL = {"mass": 1.0, "body": "chest", "position": [0.0, 0.0, 0.0], "idle": 1e-3,
 STUCK = {"joint": "l_knee", "kind": "stuck", "start": 1.0}
 
 
-def standing(**overrides):
-    return rust.load_config("balancing_front", COARSE | overrides)
+def standing(**changes):
+    return rust.load_config("balancing_front", COARSE | changes)
 
 
 def test_torques_are_bounded_by_the_robot_as_the_crate_reads_it(tmp_path):
@@ -54,11 +54,11 @@ def test_torques_are_bounded_by_the_robot_as_the_crate_reads_it(tmp_path):
     np.testing.assert_array_equal(data.qfrc_actuator[6:], 25.0)
 
 
-def early_wind(velocity, measured=True, duration=9.0, **overrides):
+def early_wind(velocity, measured=True, duration=9.0, **changes):
     """The ground experiment with its wind between 1 and 4 s."""
     wind = {"profile": "ramp", "velocity": velocity, "ramp_start": 1.0, "ramp_end": 4.0}
     return standing(
-        **{"simulator.duration": duration, ("disturbances.controller_wind" if measured else "wind"): wind} | overrides
+        **{"simulator.duration": duration, ("disturbances.controller_wind" if measured else "wind"): wind} | changes
     )
 
 
@@ -443,7 +443,7 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("overrides", "named"),
+    ("changes", "named"),
     [
         ({"controller.contact.wrench.friction": -1.0}, "wrench.friction` is -1"),
         ({"controller.contact.load_transfer": {"gain": 1.0}}, r"controller\.use_jets"),
@@ -464,9 +464,9 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
         ({"disturbances.joints": [STUCK]}, r"disturbances\.joints\[0\]\.kind is stuck; expected weak or free"),
     ],
 )
-def test_bad_ground_is_refused(overrides, named):
+def test_bad_ground_is_refused(changes, named):
     with pytest.raises(ValueError, match=named):
-        standing(**overrides)
+        standing(**changes)
 
 
 def test_a_pose_far_below_the_ground_is_refused(tmp_path, monkeypatch):

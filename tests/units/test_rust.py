@@ -19,7 +19,7 @@ TEST2 = HOME / "configs" / "experiments" / "test2.toml"
 SHORT = {"simulator.duration": 1.0}
 
 
-def test_overrides_are_judged_together():
+def test_changes_are_judged_together():
     ramp = {"wind.ramp_start": 12.0, "wind.ramp_end": 20.0}
     assert rust.load_config(TEST2, ramp)["wind"]["ramp_start"] == 12.0
     with pytest.raises(ValueError, match=r"wind\.ramp_start"):

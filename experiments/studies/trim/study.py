@@ -17,9 +17,10 @@ from tqdm import tqdm
 from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.base.arguments import Parser
+from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused, exit_status, terminal
 from jax_aero.base.wind_direction import wind_from
-from jax_aero.results import overrides, study
+from jax_aero.results import study
 from jax_aero.results.study import Findings, Study
 from jax_aero.robot.groups import joints_of
 from jax_aero.symbolic import MomentumModel, load_robot
@@ -95,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name, parts in (("wind", wind), ("velocity", velocity)):
             if not all(abs(part) <= tables.LARGEST for part in parts):
                 raise Refused(f"--{name} is {parts}; expected three numbers, each at most {tables.LARGEST:g}")
-        changes = overrides.parse(given.set)
+        changes = parse_assignments(given.set)
         if given.map:
             document = STUDY.run(given.name, changes, named=given.named, overwrite=given.overwrite)
             return 0 if document["summary"]["trims found"] else 1

@@ -1,4 +1,4 @@
-"""`--set key=value`: values from the command line, and the name of the resulting folder.
+"""Changes of a configuration, values by dotted key, as options `--set key=value` and in the name of a result's folder.
 
 A flight, study, training or CFD design changed by `--set` has a separate result, `NAME--key=value` beside the unchanged
 `NAME`, unless --name gives another name or --out another place.
@@ -11,21 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero.base import places, plain_values
-from jax_aero.base.keys import parse_assignments as parse
-
-__all__ = ["folder_suffix", "options", "parse"]
 
 
-def folder_suffix(overrides: Mapping[str, Any]) -> str:
-    """Return the suffix of a folder name that distinguishes a run with overrides from the unchanged one.
+def folder_suffix(changes: Mapping[str, Any]) -> str:
+    """Return the suffix of a folder name that distinguishes a changed run from the unchanged one.
 
     `{"wind.velocity": [0, -12, 0]}` becomes `--wind.velocity=0_-12_0`; long ones, and those with characters unsuited to
     folder names, end in a digest.
     """
-    return places.addition("".join(f"--{key}={_flatten(value)}" for key, value in sorted(overrides.items())))
+    return places.addition("".join(f"--{key}={_flatten(value)}" for key, value in sorted(changes.items())))
 
 
-def options(changes: Mapping[str, Any], named: str | None = None) -> list[str]:
+def options_of(changes: Mapping[str, Any], named: str | None = None) -> list[str]:
     """Return the command line options that make these changes and give the result this name."""
     assignments = (f"{key}={plain_values.toml_value(value)}" for key, value in changes.items())
     words = [word for assignment in assignments for word in ("--set", assignment)]

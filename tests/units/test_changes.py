@@ -3,8 +3,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from jax_aero.base import places, tables
+from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused
-from jax_aero.results.overrides import folder_suffix, options, parse
+from jax_aero.results.changes import folder_suffix, options_of
 
 
 def test_values_are_written_as_in_toml():
@@ -16,7 +17,7 @@ def test_values_are_written_as_in_toml():
         "a.d={e=1}",
         "a.e=[1,\n2] # a list",
     ]
-    assert parse(given_on_command_line) == {
+    assert parse_assignments(given_on_command_line) == {
         "wind.velocity": [0, -12, 0],
         "simulator.duration": 2.5,
         "a.b": True,
@@ -27,7 +28,7 @@ def test_values_are_written_as_in_toml():
 
 
 def test_a_bare_word_is_a_text_because_shells_strip_quotes():
-    assert parse(["simulator.lever_arm=unrotated", "robot=configs/robot/sparrow.toml"]) == {
+    assert parse_assignments(["simulator.lever_arm=unrotated", "robot=configs/robot/sparrow.toml"]) == {
         "simulator.lever_arm": "unrotated",
         "robot": "configs/robot/sparrow.toml",
     }
@@ -35,13 +36,13 @@ def test_a_bare_word_is_a_text_because_shells_strip_quotes():
 
 @pytest.mark.parametrize("value", ["{e = 1, f = {'a b' = 'x'}}", "[{jet = 'l', at = 1.5}, {}]", "true", "[]"])
 def test_the_words_of_a_command_are_read_as_what_they_were_made_of(value):
-    changes = parse([f"a.b={value}"])
-    assert parse(options(changes)[1::2]) == changes
+    changes = parse_assignments([f"a.b={value}"])
+    assert parse_assignments(options_of(changes)[1::2]) == changes
 
 
 def test_a_key_is_given_once():
     with pytest.raises(Refused, match=r"--set a\.b = 2: `a\.b` is 1 already; expected each key once"):
-        parse(["a.b=1", "c=1", "a.b = 2"])
+        parse_assignments(["a.b=1", "c=1", "a.b = 2"])
 
 
 @pytest.mark.parametrize(
@@ -49,14 +50,14 @@ def test_a_key_is_given_once():
 )
 def test_what_cannot_be_read_is_refused_and_quoted(assignment):
     with pytest.raises(Refused) as refusal:
-        parse([assignment])
+        parse_assignments([assignment])
     assert assignment in str(refusal.value)
 
 
 @pytest.mark.parametrize("value", ["2020-01-01", "2020-01-01T10:00:00Z", "10:00:00"])
 def test_no_key_is_a_date(value, tmp_path):
     with pytest.raises(Refused, match=r"--set a\.b=.*: `a\.b\.c\.1` is .*, as no key is a date"):
-        parse([f"a.b={{ c = [1, {value}] }}"])
+        parse_assignments([f"a.b={{ c = [1, {value}] }}"])
     file = tmp_path / "own.toml"
     file.write_text(f"title = {value}")
     with pytest.raises(Refused, match=r"own\.toml: `title` is .*, as no key is a date"):
@@ -100,8 +101,8 @@ VALUES = NUMBERS | st.text() | st.lists(NUMBERS | st.text(), max_size=4)
 # How long examples take to draw says how busy the machine is, nothing of the code.
 @settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(st.dictionaries(KEYS, VALUES, max_size=4))
-def test_any_suffix_is_one_short_folder_name(overrides):
-    suffix = folder_suffix(overrides)
+def test_any_suffix_is_one_short_folder_name(changes):
+    suffix = folder_suffix(changes)
     assert len(suffix) <= places.LONGEST
     assert "/" not in suffix
     assert suffix.isprintable()
