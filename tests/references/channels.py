@@ -5,6 +5,7 @@ The page is `docs/model/detection.md`, "Channels".
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from jax_aero import rust
+from tests.references.flights import Flown
 from tests.references.predicted import acceleration
 
 GREATEST = {
@@ -250,3 +253,42 @@ class Channels:
             if one.age > 0.0 and (self._is_longer(one.age, BETWEEN) or not one.is_missing):
                 velocity = one.predicted[0]
                 one.predicted = [velocity - np.expm1(-FOLLOWING * dt) * (moved / dt - velocity)]
+
+
+TOLERANCE = 1e-10
+"""Difference of predictions over at most 500 ticks, by rounding of 1e-15 that grows as e^{5 t} in 4 s at most."""
+
+SAID = {*MODES.values(), "thrust_modelled", "wind_lost", "begun_again", "descending", "clock_predicted"}
+"""Modes that the reference has."""
+
+
+def compare(
+    reference: Channels, measured: rust.Measurement, tick: rust.Tick, last: rust.Tick | None
+) -> tuple[float, bool]:
+    """Return the greatest difference of what a tick uses, and whether the modes are the same."""
+    used, modes = reference.use(measured, last)
+    known = tick.estimates
+    velocity = np.asarray(known.state.velocity)
+    theirs = {
+        "wind": [known.wind],
+        "joints": [known.state.joint_position, velocity[6:]],
+        "linear": [velocity[:3]],
+        "angular": [velocity[3:6]],
+        "position": [known.state.base_position],
+        "rotation": [known.state.base_rotation],
+    } | {f"thrust {jet}": [np.array([thrust])] for jet, thrust in enumerate(known.thrust)}
+    apart = max(np.max(np.abs(a - b)) for name, parts in theirs.items() for a, b in zip(used[name], parts, strict=True))
+    return float(apart), modes == SAID & {*tick.degraded_modes}
+
+
+def follow(config: Mapping[str, Any], ticks: Iterable[Flown]) -> tuple[bool, list[set[str]]]:
+    """Return whether a flight agrees in every tick, and the modes of each until then."""
+    reference, last, said = None, None, []
+    for measured, tick, _ in ticks:
+        reference = reference or Channels(config, rust.Robot(config["robot"]), measured)
+        apart, alike = compare(reference, measured, tick, last)
+        last = tick
+        said.append(SAID & {*tick.degraded_modes})
+        if not (apart < TOLERANCE and alike):
+            return False, said
+    return True, said

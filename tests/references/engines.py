@@ -5,10 +5,14 @@ The page is `docs/model/detection.md`, "Engines". Observed wrench and residual (
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from jax_aero import rust
+from tests.references.flights import WITHOUT, Flown, is_wrong
 
 WORKS, LIMITED, UNCONFIRMED, STOPPED = range(4)
 
@@ -169,7 +173,7 @@ class Engines:
     ) -> None:
         """Find engines that stop with their sensors (M177)."""
         silent = ~np.isfinite(reading) | (reading == self.reading)
-        self.reading = reading
+        self.reading = np.where(np.isfinite(reading), reading, self.reading)
         self.silence[:, 0] = np.where(silent, self.silence[:, 0] + dt, 0.0)
         are_silent = self.silence[:, 0] > SILENT + 0.5 * dt
         if sampling != "measured":
@@ -252,3 +256,61 @@ class Engines:
         _, low, high, _ = self.before_stop[jet]
         self.reach[jet] = low, high
         self.state[jet] = WORKS if (low, high) == (0.0, np.inf) else LIMITED
+
+
+TOLERANCE = 1e-9
+"""Difference of sums over 200 ticks of differences of thrusts of 200 N: 1e-16 · 200 N · 200, and margin [N]."""
+
+BETWEEN, SPARE = 0.15, 0.1
+"""Longest time between two measurements of the momentum [s]; share of a tick by which a sum of times is longer."""
+
+EVIDENCE = {
+    "deviation": "d",
+    "lag": "lag",
+    "outside": "outside",
+    "late": "late",
+    "monitored": "lasting",
+    "before": "mean",
+    "unmeasured": "silence",
+    "state": "state",
+    "reaches": "reach",
+    "is_believed": "believed",
+    "since": "since",
+    "taken": "taken",
+}
+"""Names of what the crate returns, and of the reference's."""
+
+
+def follow(
+    config: Mapping[str, Any], ticks: Iterable[Flown], reference: Callable[..., Engines] = Engines
+) -> tuple[tuple[int, str] | None, list[tuple[int, int, str]]]:
+    """Return in which tick a flight is not the reference's, or `None`, and the ticks with findings of each engine."""
+    robot = rust.Robot(config["robot"])
+    judge, last, time, gap, found = reference(config, robot), None, 0.0, 0.0, []
+    for place, (measured, tick, evidence) in enumerate(ticks):
+        if last is None:
+            used = np.asarray(evidence["reading"])
+            judge.begin(evidence)
+        else:
+            # Once more as the crate's channels do: a sensor that is not used is predicted.
+            dt = measured.time - time
+            expected = np.maximum(used + dt * last.thrust_rate, robot.thrust_min)
+            reading = np.asarray(evidence["reading"])
+            is_measured = judge.believed & np.isfinite(reading)
+            used = np.where(is_measured, reading, expected)
+            modes = {*tick.degraded_modes}
+            gap = (np.inf if is_wrong(measured, modes) else gap + dt) if WITHOUT & modes else 0.0
+            sampling = "measured" if gap == 0.0 else "between" if gap <= BETWEEN + SPARE * dt else "unknown"
+            judge.compare(
+                used - expected, used, last, dt, is_known=sampling != "unknown", are_measured=bool(is_measured.all())
+            )
+            findings = judge.find(tick, used, evidence, reading, sampling, dt)
+            used = used + judge.decide(findings, used, np.nan_to_num(evidence["covered"]))
+            found += [(place, jet, name) for jet, (name, _) in enumerate(findings) if name != "nothing"]
+        for theirs, ours in EVIDENCE.items():
+            if not np.allclose(getattr(judge, ours), evidence[theirs], rtol=0.0, atol=TOLERANCE):
+                return (place, theirs), found
+        if judge.modes() != {"engine_limited", "engine_stopped"} & {*tick.degraded_modes}:
+            return (place, "modes"), found
+        time, last = measured.time, tick
+    return None, found

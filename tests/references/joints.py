@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jax_aero import rust
+from tests.references.flights import WITHOUT, Flown
 from tests.references.predicted import acceleration, whole
 
 HEALTHY, STUCK, WEAK, FREE = range(4)
@@ -125,3 +128,32 @@ class Joints:
     def command(self, tick: Any, step: float) -> None:
         """Take in the velocities that are commanded from a tick on."""
         self.commanded = self.commanded + step * tick.joint_velocity_command
+
+
+def follow(
+    config: Mapping[str, Any], ticks: Iterable[Flown], reference: Callable[..., Joints] = Joints
+) -> tuple[int | None, NDArray[np.int64], NDArray[np.float64]]:
+    """Return in which tick a flight is not the reference's, or `None`; conditions and shares in each until then."""
+    step, judge, last, time = config["controller"]["time_step"], None, None, 0.0
+    found, shares = list[NDArray[np.int64]](), list[NDArray[np.float64]]()
+    for place, (measured, tick, _) in enumerate(ticks):
+        lacks, positions = WITHOUT & {*tick.degraded_modes}, np.asarray(measured.state.joint_position)
+        if judge is None:
+            judge = reference(config, rust.Robot(config["robot"]), positions)
+        if last is None or "begun_again" in tick.degraded_modes:
+            judge.begin(positions)
+        else:
+            dt = measured.time - time
+            judge.move(positions, are_measured="joints_predicted" not in lacks, dt=dt)
+            if lacks:
+                judge.interrupt()
+            else:
+                judge.compare(tick, last, dt)
+        judge.command(tick, step)
+        last, time = tick, measured.time
+        found.append(tick.joint_condition)
+        shares.append(judge.share.copy())
+        says = "joint_limited" in tick.degraded_modes
+        if not np.array_equal(judge.found, tick.joint_condition) or says != tick.joint_condition.any():
+            return place, np.array(found), np.array(shares)
+    return None, np.array(found), np.array(shares)

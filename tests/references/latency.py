@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero import rust
+from tests.references.flights import WITHOUT, Flown, is_wrong
 
 DELAY_MAX, MEMORY, SETTLING = 0.25, 3.0, 3.0
 """Longest delay, τ [s], and the filter times after a gap in which nothing counts."""
@@ -104,10 +109,14 @@ class Latencies:
         self.before: tuple[Any, Any] = self.free[0], self.free[0]
         self.thrust: Any = None
         self.last: Any = None
+        self.acts: Any = 1.0
         self.beyond, self.unknown = np.zeros(2), 0
 
-    def measure(self, measured: Any, tick: Any) -> tuple[tuple[float, float], bool]:
-        """Return both latencies after a tick of the crate, by what it was given, and whether commands are late."""
+    def measure(self, measured: Any, tick: Any, acts: Any = 1.0) -> tuple[tuple[float, float], bool]:
+        """Return both latencies after a tick of the crate, by what it was given, and whether commands are late.
+
+        Of its torques these shares act until the next one.
+        """
         lacks = {*tick.degraded_modes}
         if "joints_predicted" in lacks or "begun_again" in lacks:
             self.positions.clear()
@@ -122,7 +131,7 @@ class Latencies:
                 self.rates.add(thrust - self.thrust, step * self.last.thrust_rate)
             else:
                 self.rates.begin_again()
-        self.thrust, self.last = thrust, tick
+        self.thrust, self.last, self.acts = thrust, tick, acts
         found = self.torques.latency(), self.rates.latency()
         most = np.array([self.limits["torque_max"], self.limits["thrust_max"]])
         differs = np.abs(np.array(found) - self.known) > most
@@ -132,19 +141,15 @@ class Latencies:
 
     def _knows_momentum(self, measured: Any, lacks: set[str]) -> bool:
         """Return whether it is measured, or between two measurements that are missing, but not wrong."""
-        state = measured.state
-        parts = {"joints": [state.joint_position], "rotation": [state.base_rotation], "velocity": [state.velocity[:6]]}
-        bad = [name for name in parts if f"{name}_predicted" in lacks]
-        is_wrong = any(np.isfinite(parts[name]).all() for name in bad)
-        self.unknown = LONG if is_wrong else self.unknown + 1 if bad else 0
+        self.unknown = LONG if is_wrong(measured, lacks) else self.unknown + 1 if WITHOUT & lacks else 0
         return self.unknown * self.step <= BETWEEN_MAX + TIGHT * self.step
 
     def _compare(self, last: Any, tick: Any, *, is_known: bool) -> None:
         """Compare measured joints with the torques that act: the commanded ones less the compensated friction."""
         friction = self.friction * np.tanh(last.joint_velocity_command / SLIP)
-        acts = last.joint_torque - friction
+        acts = self.acts * last.joint_torque - friction
         # The law's own acceleration without torques has the friction.
-        predicted = last.joint_acceleration_free + last.torque_gain @ last.joint_torque
+        predicted = last.joint_acceleration_free + last.torque_gain @ (self.acts * last.joint_torque)
         driven = tick.torque_gain @ acts
         self.free.appendleft(predicted - driven)
         driven = self.step**2 * driven
@@ -157,3 +162,25 @@ class Latencies:
         moved = now - 2.0 * then + earlier - self.step**2 * free
         self.torques.add(moved - self.before[0], driven - self.before[1])
         self.before = moved, driven
+
+
+TOLERANCE = 1e-12
+"""Difference of latencies by rounding: 1e-16 of 0.3 s, times 300 ticks of sums and a curvature of 1/30 of L [s]."""
+
+
+def follow(
+    config: Mapping[str, Any],
+    ticks: Iterable[Flown],
+    reference: Callable[..., Latencies] = Latencies,
+    shares: NDArray[np.float64] | None = None,
+) -> tuple[bool, NDArray[np.float64]]:
+    """Return whether a flight is the reference's, and the crate's latencies with whether one is late, by tick.
+
+    Of the torques these shares (ticks, n) act; all without.
+    """
+    judge, ours, theirs = reference(config, rust.Robot(config["robot"])), [], []
+    for place, (measured, tick, _) in enumerate(ticks):
+        found, is_late = judge.measure(measured, tick, 1.0 if shares is None else shares[place])
+        ours.append([*found, is_late])
+        theirs.append([*tick.measured_latency, "late" in tick.degraded_modes])
+    return np.allclose(ours, theirs, rtol=0.0, atol=TOLERANCE, equal_nan=True), np.array(theirs)

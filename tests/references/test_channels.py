@@ -12,13 +12,9 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from tests.references import channels
-from tests.references.channels import MODES, Channels
+from tests.references import channels, flights
+from tests.references.channels import TOLERANCE, Channels, compare
 
-TOLERANCE = 1e-10
-"""Difference of predictions over at most 500 ticks, by rounding of 1e-15 that grows as e^{5 t} in 4 s at most."""
-
-SAID = {*MODES.values(), "thrust_modelled", "wind_lost", "begun_again", "descending", "clock_predicted"}
 FLIGHTS = ("test2", "test2_observer")
 SENSORS = {
     "base_position": {"period": 0.05},
@@ -58,47 +54,17 @@ def drawn(seed):
     return FLIGHTS[seed % 3 % 2], {"simulator.duration": 1.0} | sensors | {"disturbances.outages": outages}
 
 
-def compare(reference, measured, tick, last) -> tuple[float, bool]:
-    """Return the greatest difference of what a tick uses, and whether the modes are the same."""
-    used, modes = reference.use(measured, last)
-    known = tick.estimates
-    velocity = np.asarray(known.state.velocity)
-    theirs = {
-        "wind": [known.wind],
-        "joints": [known.state.joint_position, velocity[6:]],
-        "linear": [velocity[:3]],
-        "angular": [velocity[3:6]],
-        "position": [known.state.base_position],
-        "rotation": [known.state.base_rotation],
-    } | {f"thrust {jet}": [np.array([thrust])] for jet, thrust in enumerate(known.thrust)}
-    apart = max(np.max(np.abs(a - b)) for name, parts in theirs.items() for a, b in zip(used[name], parts, strict=True))
-    return float(apart), modes == SAID & {*tick.degraded_modes}
-
-
 @lru_cache
 def record(name, changes):
-    """Return configuration, and of each tick of a flight what is measured and the crate's values."""
+    """Return the configuration and ticks of a flight."""
     always = {"controller.channels.jump": True, "wind.ramp_start": -1.0, "wind.ramp_end": 0.0}
     config = rust.load_config(name, always | json.loads(changes))
-    flight, ticks = rust.Flight(config), []
-    while not flight.has_ended:
-        measured = flight.measurement
-        flight.step()
-        ticks.append((measured, flight.last))
-    return config, ticks
+    return config, flights.fly(config)
 
 
 def fly(name, changes):
     """Return whether a flight agrees in every tick, and the modes of each."""
-    config, ticks = record(name, json.dumps(changes))
-    reference, last, said = Channels(config, rust.Robot(config["robot"]), ticks[0][0]), None, []
-    for measured, tick in ticks:
-        apart, alike = compare(reference, measured, tick, last)
-        last = tick
-        said.append(SAID & {*tick.degraded_modes})
-        if not (apart < TOLERANCE and alike):
-            return False, said
-    return True, said
+    return channels.follow(*record(name, json.dumps(changes)))
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -9,34 +9,10 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from tests.references import engines
+from tests.references import engines, flights
 from tests.references.engines import STOPPED, WORKS, Engines
 
-TOLERANCE = 1e-9
-"""Difference of sums over 200 ticks of differences of thrusts of 200 N: 1e-16 · 200 N · 200, and margin [N]."""
-
-BETWEEN, SPARE = 0.15, 0.1
-"""Longest time between two measurements of the momentum [s]; share of a tick by which a sum of times is longer."""
-
-WITHOUT = {"joints_predicted", "rotation_predicted", "velocity_predicted"}
-"""Modes of ticks without measured momentum."""
-
 JETS = ("l_arm_jet", "r_arm_jet", "chest_l_jet", "chest_r_jet")
-EVIDENCE = {
-    "deviation": "d",
-    "lag": "lag",
-    "outside": "outside",
-    "late": "late",
-    "monitored": "lasting",
-    "before": "mean",
-    "unmeasured": "silence",
-    "state": "state",
-    "reaches": "reach",
-    "is_believed": "believed",
-    "since": "since",
-    "taken": "taken",
-}
-"""Names of what the crate returns, and of the reference's."""
 
 
 def config_of(changes):
@@ -54,37 +30,7 @@ def config_of(changes):
 def fly(changes, reference=Engines):
     """Return in which tick a flight is not the reference's, or `None`, and the ticks with findings of each engine."""
     config = config_of(changes)
-    robot = rust.Robot(config["robot"])
-    judge, flight, last, time, gap, found = reference(config, robot), rust.Flight(config), None, 0.0, 0.0, []
-    while not flight.has_ended:
-        measured = flight.measurement
-        flight.step()
-        tick, evidence = flight.last, flight.controller_state.engines()
-        if last is None:
-            used = np.asarray(evidence["reading"])
-            judge.begin(evidence)
-        else:
-            # Once more as the crate's channels do: a sensor that is not used is predicted.
-            dt = measured.time - time
-            expected = np.maximum(used + dt * last.thrust_rate, robot.thrust_min)
-            reading = np.asarray(evidence["reading"])
-            is_measured = judge.believed & np.isfinite(reading)
-            used = np.where(is_measured, reading, expected)
-            gap = gap + dt if WITHOUT & {*tick.degraded_modes} else 0.0
-            sampling = "measured" if gap == 0.0 else "between" if gap <= BETWEEN + SPARE * dt else "unknown"
-            judge.compare(
-                used - expected, used, last, dt, is_known=sampling != "unknown", are_measured=bool(is_measured.all())
-            )
-            findings = judge.find(tick, used, evidence, reading, sampling, dt)
-            used = used + judge.decide(findings, used, np.nan_to_num(evidence["covered"]))
-            found += [(flight.tick - 1, jet, name) for jet, (name, _) in enumerate(findings) if name != "nothing"]
-        for theirs, ours in EVIDENCE.items():
-            if not np.allclose(getattr(judge, ours), evidence[theirs], rtol=0.0, atol=TOLERANCE):
-                return (flight.tick - 1, theirs), found
-        if judge.modes() != {"engine_limited", "engine_stopped"} & {*tick.degraded_modes}:
-            return (flight.tick - 1, "modes"), found
-        time, last = measured.time, tick
-    return None, found
+    return engines.follow(config, flights.fly(config), reference)
 
 
 def outage(channel, kind, start, duration=None, error=None, jet=None):

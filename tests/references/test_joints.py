@@ -5,15 +5,11 @@ The controllers have no estimator, so that positions and velocities are those th
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from jax_aero import rust
-from tests.references import joints
+from tests.references import flights, joints
 from tests.references.joints import FREE, STUCK, WEAK, Joints
-
-WITHOUT = {"joints_predicted", "rotation_predicted", "velocity_predicted"}
-"""Modes of ticks without measured momentum."""
 
 MISSION = {"forward_turbo": [[2.0, 4.0]], "yaw_left": [[2.5, 4.0]]}
 
@@ -28,30 +24,8 @@ def fly(changes, reference=Joints):
         "mission": MISSION,
     }
     config = rust.load_config("test2_observer", always | changes)
-    flight, last, found, time = rust.Flight(config), None, [], 0.0
-    step = config["controller"]["time_step"]
-    judge = reference(config, rust.Robot(config["robot"]), np.asarray(flight.measurement.state.joint_position))
-    while not flight.has_ended:
-        measured = flight.measurement
-        flight.step()
-        tick, dt = flight.last, measured.time - time if last is not None else step
-        lacks = WITHOUT & {*tick.degraded_modes}
-        positions = np.asarray(measured.state.joint_position)
-        if last is None or "begun_again" in tick.degraded_modes:
-            judge.begin(positions)
-        else:
-            judge.move(positions, are_measured="joints_predicted" not in lacks, dt=dt)
-            if lacks:
-                judge.interrupt()
-            else:
-                judge.compare(tick, last, dt)
-        judge.command(tick, step)
-        last, time = tick, measured.time
-        found.append(tick.joint_condition)
-        says = "joint_limited" in tick.degraded_modes
-        if not np.array_equal(judge.found, tick.joint_condition) or says != tick.joint_condition.any():
-            return False, np.array(found)
-    return True, np.array(found)
+    apart, found, _ = joints.follow(config, flights.fly(config), reference)
+    return apart is None, found
 
 
 def fault(joint, kind, start=2.2):

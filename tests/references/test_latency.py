@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from tests.references import latency
+from tests.references import flights, latency
 from tests.references.latency import Latencies
-
-TOLERANCE = 1e-12
-"""Difference of latencies by rounding: 1e-16 of 0.3 s, times 300 ticks of sums and a curvature of 1/30 of L [s]."""
 
 
 def outage(channel: str, kind: str, start: float, duration: float, error: float = 1.0) -> dict:
@@ -53,34 +50,23 @@ FLIGHTS = {
 
 
 def fly(name: str, changes: dict, reference=Latencies):
-    """Return latencies and findings of every tick of a flight: of the reference, and of the crate."""
+    """Return whether a flight agrees, the latencies and findings of each of its ticks, and the ticks."""
     config = rust.load_config(name, {"simulator.duration": 3.5} | changes)
-    judge, flight = reference(config, rust.Robot(config["robot"])), rust.Flight(config)
-    ours, theirs = [], []
-    while not flight.has_ended:
-        measured = flight.measurement
-        flight.step()
-        found, is_late = judge.measure(measured, flight.last)
-        ours.append([*found, is_late])
-        theirs.append([*flight.last.measured_latency, "late" in flight.last.degraded_modes])
-    return np.array(ours), np.array(theirs), flight
-
-
-def agree(ours, theirs) -> bool:
-    return np.allclose(ours, theirs, rtol=0.0, atol=TOLERANCE, equal_nan=True)
+    ticks = flights.fly(config)
+    return *latency.follow(config, ticks, reference), ticks
 
 
 @pytest.mark.parametrize("flight", FLIGHTS)
 def test_latencies_are_those_of_the_reference(flight):
-    ours, theirs, flown = fly(*FLIGHTS[flight])
-    assert agree(ours, theirs)
+    agrees, theirs, ticks = fly(*FLIGHTS[flight])
+    assert agrees
     assert np.isfinite(theirs[:, 0]).sum() > 100
     late = bool(theirs[:, 2].any())
     assert late == ("late" in flight or FLIGHTS[flight][1].items() >= LATE.items())
     if flight == "late thrusts":
         assert np.isfinite(theirs[:, 1]).any()
     if flight == "a stuck joint":
-        assert 1 in flown.last.joint_condition
+        assert 1 in ticks[-1].tick.joint_condition
 
 
 def without_friction(config, robot):
@@ -98,10 +84,10 @@ def of_this_tick(config, robot):
 def test_wrong_references_are_refused(monkeypatch):
     """Each mistake shows in a flight of a second; so it would in the crate."""
     few = {"simulator.duration": 1.0}
-    assert agree(*fly("robot", few)[:2])
+    assert fly("robot", few)[0]
     for wrong in (without_friction, of_this_tick):
-        assert not agree(*fly("robot", few, wrong)[:2])
+        assert not fly("robot", few, wrong)[0]
     for name, value in {"MEMORY": 2.9, "DELAY_MAX": 0.26, "SETTLING": 3.2, "SLIP": 0.03}.items():
         with monkeypatch.context() as patch:
             patch.setattr(latency, name, value)
-            assert not agree(*fly("robot", few)[:2]), name
+            assert not fly("robot", few)[0], name

@@ -3,7 +3,7 @@
 import pytest
 
 from jax_aero import rust
-from tests.references.tracking_error import TrackingError
+from tests.references import flights, tracking_error
 
 PUSH = {"body": "root_link", "force": [300.0, 0.0, 0.0], "start": 1.0, "duration": 0.3}
 FLIGHTS = {
@@ -18,12 +18,7 @@ FLIGHTS = {
 @pytest.mark.parametrize("changes", FLIGHTS)
 def test_flights_stray_where_the_reference_says_so(changes):
     config = rust.load_config("robot", FLIGHTS[changes])
-    reference, flight = TrackingError(config, rust.Robot(config["robot"]).mass), rust.Flight(config)
-    found, expected = [], []
-    while not flight.has_ended:
-        flight.step()
-        expected.append(reference.strays(flight.last))
-        found.append("tracking_error" in flight.last.degraded_modes)
-    assert found == expected
+    agrees, found = tracking_error.follow(config, flights.fly(config))
+    assert agrees
     assert any(found)
     assert not all(found)

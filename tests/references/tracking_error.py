@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from jax_aero import rust
+from tests.references.flights import Flown
 
 HORIZON, CONFIRMATION = 0.3, 0.03
 """T and c [s]."""
@@ -32,3 +36,10 @@ class TrackingError:
         is_beyond = any(value > self.limits[name] for name, value in values.items())
         self.beyond = self.beyond + 1 if is_beyond else 0
         return bool((self.beyond - 1) * self.step > CONFIRMATION - 1e-9)
+
+
+def follow(config: Mapping[str, Any], ticks: Iterable[Flown]) -> tuple[bool, list[bool]]:
+    """Return whether a flight is the reference's, and in which ticks it strays."""
+    reference, tracks = TrackingError(config, rust.Robot(config["robot"]).mass), [each.tick for each in ticks]
+    found = ["tracking_error" in tick.degraded_modes for tick in tracks]
+    return found == [reference.strays(tick) for tick in tracks], found
