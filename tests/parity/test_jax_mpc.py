@@ -11,9 +11,11 @@ from jax_aero import rust
 from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.control import tick
+from jax_aero.control.law.plan import no_plan
 from jax_aero.control.measurement import Measurement
 from jax_aero.control.mpc.clearance import distances
 from jax_aero.control.mpc.horizon import Horizon, Target, horizon
+from jax_aero.control.mpc.law import _find_beyond
 from jax_aero.control.mpc.model import linearise
 from jax_aero.control.preview import Preview
 from jax_aero.types import Setpoint, State
@@ -189,3 +191,51 @@ def test_the_least_cost_on_the_way_is_that_of_many_points(x64):
         beyond = beyond - np.clip(beyond, least, greatest)
         cost = 0.5 * np.einsum("si,ij,sj->s", at, h, at) + at @ g + 0.5 * beyond**2 @ weight
         assert abs(found - shares[np.argmin(cost)]) <= 1.0001 * shares[1]
+
+
+def strict(seed: int) -> Horizon:
+    """Return a random cost of 4 knots and 3 jets, whose limits are narrow and weigh much, beside an idle joint."""
+    rng, knots, jets = np.random.default_rng(seed), 4, 3
+    n = knots * jets
+    factor, g = rng.normal(size=(n, n)), 3.0 * rng.normal(size=n)
+    own = np.zeros((knots, jets, knots))
+    for knot in range(knots):
+        for jet in range(jets):
+            own[knot, jet, : knot + 1] = rng.uniform(0.5, 2.0, knot + 1) * rng.choice([-1, 1], knot + 1)
+    free = rng.normal(size=n)
+    least = free - rng.uniform(-1.0, 1.0, n)
+    greatest, weight = least + rng.uniform(0.2, 1.0, n), 10.0 ** rng.uniform(0.0, 4.0, n)
+    h, by_inputs = np.eye(n + 1), np.zeros((knots, jets + 1, n + 1))
+    h[:n, :n] = 0.05 * (factor @ factor.T + np.eye(n))
+    for jet in range(jets):
+        by_inputs[:, jet, jet:n:jets] = own[:, jet]
+
+    def with_joint(values, of_joint):
+        return np.append(values.reshape(knots, jets), np.full((knots, 1), of_joint), axis=1).ravel()
+
+    limits = (with_joint(part, of) for part, of in ((free, 0.0), (least, -np.inf), (greatest, np.inf), (weight, 1.0)))
+    none = np.zeros((knots, 1, 1)), np.zeros((0, 1))
+    parts = h, np.append(g, 0.0), by_inputs.reshape(-1, n + 1), own, *none, *limits
+    return Horizon(*map(jnp.asarray, parts), None)
+
+
+def test_a_plan_is_the_least_of_its_cost_by_its_search_on_the_way(x64, monkeypatch):
+    """From one answer to the next the values beyond their limits would be the same again and again."""
+    cases = [strict(seed) for seed in (25, 53, 336)]
+    bound = jnp.full(cases[0].g.size, 1e6)
+
+    def search(ahead: Horizon):
+        found = _find_beyond(ahead, (-bound, bound), no_plan(bound.size, 3, jnp.float64))
+        return found.is_found, found.answer.x
+
+    find = jax.jit(search)
+    for ahead in cases:
+        is_found, x = jax.device_get(find(ahead))
+        at = ahead.free + ahead.by_inputs @ x
+        excess = ahead.weight * (at - jnp.clip(at, ahead.least, ahead.greatest))
+        assert is_found
+        # Rounding of numbers below ten times weights.
+        assert np.abs(ahead.h @ x + ahead.g + ahead.by_inputs.T @ excess).max() < 1e-13 * ahead.weight.max()
+    monkeypatch.setattr(Horizon, "least_on_way", lambda *_: jnp.ones(()))
+    find = jax.jit(lambda ahead: search(ahead)[0])
+    assert not any(find(ahead) for ahead in cases)
