@@ -185,7 +185,7 @@ def make_flight() -> Callable[..., FlightResult]:
 @pytest.fixture(scope="session")
 def made_up_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A results folder with the flights the figures show; one of them falls. A test that changes it copies it."""
-    results = tmp_path_factory.mktemp("made_up") / "flight"
+    results = tmp_path_factory.mktemp("made_up")
     falls = {"test1": None, "test2": None, "test1_published": 21.5, "test2_published": None}
     falls |= dict.fromkeys(["test1_observer", "test1_published_observer"])
     falls |= dict.fromkeys(["test3", "test4", "robustness", "test4_published", "robustness_published"])
@@ -197,7 +197,7 @@ def made_up_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
             made_up_flight(lost_time=lost_time), ROBOT, title=f"{name}: made up", config_digest=digest
         )
         facts = identity_of(rust.load_config(name)).facts
-        record.write_run(results / name, dataset, {"name": name, **facts})
+        record.write_run(results / "flight" / name, dataset, {"name": name, **facts})
     return results
 
 

@@ -17,7 +17,7 @@ from experiments.report.page import literal, markdown, to_html
 from experiments.report.paper import OURS, Item, all_claims, all_items, sections
 from experiments.report.results import Results
 from jax_aero.base import places
-from jax_aero.base.arguments import Parser
+from jax_aero.base.arguments import Parser, add_results
 from jax_aero.base.files import write_text
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.results import manifest
@@ -33,13 +33,7 @@ GALLERY = "img/gallery"
 def main(arguments: Sequence[str]) -> int:
     """Write the report from the results that exist."""
     parser = Parser("report", __doc__)
-    parser.add_argument(
-        "--results",
-        type=Path,
-        default=places.RESULTS,
-        metavar="DIR",
-        help="folder with flight/, sweeps/",
-    )
+    add_results(parser)
     parser.add_argument(
         "--claims",
         type=Path,

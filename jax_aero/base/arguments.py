@@ -84,6 +84,12 @@ def add_name(parser: argparse.ArgumentParser, default: str) -> None:
     parser.add_argument("--name", dest="named", type=_name, metavar="NAME", help=f"name of the result ({default})")
 
 
+def add_results(parser: argparse.ArgumentParser) -> None:
+    """Add `--results`, the folder whose folders are those of each kind of result."""
+    about = "folder of all results, with flight/ and sweeps/ (default results)"
+    parser.add_argument("--results", type=Path, default=places.RESULTS, metavar="DIR", help=about)
+
+
 def _name(text: str) -> str:
     if not re.fullmatch(places.NAME, text):
         raise argparse.ArgumentTypeError(f"`{text}`; expected a letter or digit, then any characters but /")

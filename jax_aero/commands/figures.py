@@ -21,7 +21,7 @@ from jax_aero.sweep.result import is_finished
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
-    finished = {path.parent.name for path in given.sweeps.glob("[!.]*/cells.parquet")}
+    finished = {path.parent.name for path in (given.results / "sweeps").glob("[!.]*/cells.parquet")}
     known = [*FIGURES, *SWEEPS, *sorted(finished - {*SWEEPS, *FIGURES})]
     is_all = given.names in ([], ["all"])
     names = [name for name in known if not _is_of_any(name)] if is_all else given.names
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         for path in style.save(figure, _file_name(name, given), given.out, hashes, dark=given.dark):
             print(path)
-    hidden = [name for name in names if name in FIGURES and is_finished(given.sweeps / name)]
+    hidden = [name for name in names if name in FIGURES and is_finished(given.results / "sweeps" / name)]
     for name in hidden:
         print(f"error: the sweep {name} is not drawn, since a figure has its name; give it another", file=sys.stderr)
     if missing:
@@ -78,7 +78,7 @@ def _check(name: str, given: argparse.Namespace) -> str:
     if name in FIGURES:
         kind, chosen = FIGURES[name].kind, FIGURES[name].folders(given.results, given.runs or ())
     else:
-        kind, chosen = "sweeps", [given.sweeps / name]
+        kind, chosen = "sweeps", [given.results / "sweeps" / name]
     differences = {folder.name: outdated.result(kind, folder) for folder in chosen if folder.is_dir()}
     stale = "; ".join(f"{folder} ({differs})" for folder, differs in differences.items() if differs)
     if stale and not given.stale:
@@ -91,7 +91,7 @@ def _check(name: str, given: argparse.Namespace) -> str:
 def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
     if name in FIGURES:
         return FIGURES[name].draw_from_results(given.results, given.runs or (), given.labels or ())
-    sweep = sweeps.load(given.sweeps, name, given.of or ())
+    sweep = sweeps.load(given.results / "sweeps", name, given.of or ())
     return drawings.draw(sweep, given.paired), sweep.hashes
 
 
@@ -135,11 +135,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--labels", nargs="+", metavar="TEXT", help="names of the runs in legends and titles; $...$ is mathematics"
     )
-    parser.add_argument(
-        "--results", type=Path, default=places.RESULTS / "flight", metavar="DIR", help="folder of flights"
-    )
-    parser.add_argument(
-        "--sweeps", type=Path, default=places.RESULTS / "sweeps", metavar="DIR", help="folder of sweeps"
-    )
+    arguments.add_results(parser)
     parser.add_argument("--out", type=Path, default=places.RESULTS / "figures", metavar="DIR", help="where figures go")
     return parser

@@ -26,10 +26,8 @@ def escape_text(text: object) -> str:
 
 
 def folder_of(results: Path, kind: str, name: str) -> Path:
-    """Return the folder of a result of a kind; `results` is that of flights, and a flight's name may be a path."""
-    if kind != "flight":
-        return results.parent / kind / name
-    return Path(name) if is_path(name) else results / name
+    """Return the folder of a result of a kind; a flight's name may be a path."""
+    return Path(name) if kind == "flight" and is_path(name) else results / kind / name
 
 
 def load(results: Path, name: str, label: str | None = None) -> xr.Dataset:
@@ -39,15 +37,15 @@ def load(results: Path, name: str, label: str | None = None) -> xr.Dataset:
         raise MissingRun(f"no flight in `{name}`; expected the folder of one")
     if not path.is_file():
         fly = kinds.find("flight")
-        elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
-        raise MissingRun(f"no flight `{name}` in {results}; fly it with: {fly.line(name, options=elsewhere)}")
+        elsewhere = "" if results.resolve() == RESULTS.resolve() else f" --out {path.parents[1]}"
+        raise MissingRun(f"no flight `{name}` in {path.parents[1]}; fly it with: {fly.line(name, options=elsewhere)}")
     flight = read(path)
     named = (path.parent.name, flight.attrs["title"]) if label is None else (label, label)
     return flight.assign_attrs(zip(("name", "title"), map(escape_text, named), strict=True))
 
 
 def load_study(results: Path, kind: str, name: str) -> xr.Dataset:
-    """Read a study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
+    """Read a study of a kind, with its name as an attribute."""
     path = folder_of(results, kind, name) / RUN_FILE
     if not path.is_file():
         raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {kinds.find(kind).line(name)}")

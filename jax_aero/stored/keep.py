@@ -23,7 +23,7 @@ import pandas as pd
 
 from jax_aero import backends
 from jax_aero.base import documents, places
-from jax_aero.base.arguments import Parser, complete_with
+from jax_aero.base.arguments import Parser, add_results, complete_with
 from jax_aero.base.files import read_json, write_text
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.results import manifest
@@ -64,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     complete_with(named, lambda: places.names("sweeps"))
     parser.add_argument("--name", dest="named", metavar="NAME", help="name of the kept result")
     parser.add_argument("--all", action="store_true", help="everything that is kept, where its result is there")
-    parser.add_argument("--results", type=Path, default=places.RESULTS, metavar="DIR", help="folder of results")
+    add_results(parser)
     return parser
 
 

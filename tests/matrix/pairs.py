@@ -316,7 +316,7 @@ def draw(flights: Flights, name: str) -> None:
     """Draw a figure, or say which results it lacks."""
     out = flights.path(f"{name} figures", "out")
     named = ("--runs", flights.flight("test2")) if FIGURES[name].is_of_any else ()
-    answer = run("figures", name, *named, "--results", out / "flights", "--sweeps", out / "sweeps", "--out", out)
+    answer = run("figures", name, *named, "--results", out, "--out", out)
     lacks = answer.status == 1 and re.search(r"no \w+ `.+` in .+ with: ", answer.text)
     assert answer.status == 0 or lacks, answer
 

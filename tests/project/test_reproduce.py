@@ -50,7 +50,7 @@ def test_what_is_not_wanted_is_left_out(ran, monkeypatch):
 
 
 def test_what_is_of_other_numerics_is_made_again(made_up_results, monkeypatch, tmp_path):
-    shutil.copytree(made_up_results, tmp_path / "flight")
+    shutil.copytree(made_up_results / "flight", tmp_path / "flight")
     path = tmp_path / "flight" / "test2" / "manifest.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"numerics": {"crate": 0}}))
     monkeypatch.setattr(places, "RESULTS", tmp_path)

@@ -84,7 +84,7 @@ def test_the_figure_shows_flights(study, tmp_path):
     folder = tmp_path / "along" / "flights"
     folder.mkdir(parents=True)
     write_netcdf(folder / "run.nc", study)
-    figure, hashes = FIGURES["along"].draw_from_results(tmp_path / "flight")
+    figure, hashes = FIGURES["along"].draw_from_results(tmp_path)
     # A cross where the one was lost and in the legend, none where the other was shorter; as published the line at zero.
     assert [len(axes.lines) for axes in figure.axes] == [5, 5, 1]
     assert hashes == {"flights": "0"}
@@ -95,7 +95,7 @@ def test_a_result_of_older_code_is_not_drawn(study, tmp_path):
     folder.mkdir(parents=True)
     write_netcdf(folder / "run.nc", study.drop_vars("lost_time").assign_attrs(config_hash="0"))
     with pytest.raises(NotDrawn, match=r"'lost_time': other code made the result; make it again: jax-aero study along"):
-        FIGURES["along"].draw_from_results(tmp_path / "flight")
+        FIGURES["along"].draw_from_results(tmp_path)
 
 
 def test_the_flights_themselves_count(make_flight, robot, tmp_path, monkeypatch):

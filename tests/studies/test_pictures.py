@@ -46,7 +46,7 @@ def test_pictures_are_shown(name, tmp_path):
     folder = tmp_path / "pictures" / "paper"
     folder.mkdir(parents=True)
     write_netcdf(folder / "run.nc", study)
-    figure, hashes = FIGURES[name].draw_from_results(tmp_path / "flight")
+    figure, hashes = FIGURES[name].draw_from_results(tmp_path)
     assert hashes == {"paper": "0"}
     titles = [axes.get_title(loc="center") for axes in figure.axes]
     assert name != "postures" or titles[: len(names)] == names

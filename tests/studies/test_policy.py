@@ -59,7 +59,7 @@ def test_policies_are_judged_on_the_way_and_at_the_end(tmp_path, monkeypatch):
     assert found["processor to a reward of 0.9 [min]"] == 1.0
     copy_card(places.RESULTS / "policy/short/seed_4.json", tmp_path / "own.json")
     rust.load_config("test1", {"controller.policy": {"card": tmp_path / "own.json"}})
-    figure, hashes = FIGURES["policy"].draw_from_results(places.RESULTS / "flight", ["short"])
+    figure, hashes = FIGURES["policy"].draw_from_results(places.RESULTS, ["short"])
     assert isinstance(figure, Figure)
     assert hashes == {"short": document["config_digest"]}
 

@@ -213,7 +213,7 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     before = {path: path.read_bytes() for path in sorted(folder.iterdir())}
     small.run("min_time", {"speed_max": 2.0})
     assert {path: path.read_bytes() for path in sorted(folder.iterdir())} == before
-    _, hashes = FIGURES["trajectory"].draw_from_results(tmp_path / "flight", ("min_time",))
+    _, hashes = FIGURES["trajectory"].draw_from_results(tmp_path, ("min_time",))
     assert set(hashes) == {"min_time"}
     found = experiment.figures("flown", dataset, "flown")
     assert found["flown: peak CoM error [m]"] == 0.0

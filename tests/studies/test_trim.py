@@ -255,7 +255,7 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     assert (
         str(data["violated"].sel(objective="max_margin", direction=90.0, speed=20.0).values) == "force balance along y"
     )
-    _, hashes = FIGURES["trim"].draw_from_results(tmp_path / "flight", ("small", "small"))
+    _, hashes = FIGURES["trim"].draw_from_results(tmp_path, ("small", "small"))
     assert hashes == {"small": document["config_digest"]}
     assert np.isnan(data["margin"].sel(objective="max_margin", direction=90.0, speed=20.0))
 

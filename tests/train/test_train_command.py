@@ -130,7 +130,7 @@ def test_a_card_says_whose_data_they_are(made_up_dataset, source, words):
 
 
 def test_figures_are_drawn_from_the_result(result, tmp_path):
-    flights = ["--results", str(result / "flight"), "--out", str(tmp_path)]
+    flights = ["--results", str(result), "--out", str(tmp_path)]
     assert draw(["fig4_network", "training", *flights]) == 0
     for name in ("fig4_network", "training"):
         with Image.open(tmp_path / f"{name}.png") as picture:

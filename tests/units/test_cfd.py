@@ -708,7 +708,7 @@ def made_up_flow(tmp_path):
         folder = tmp_path / "cfd_flow" / name
         folder.mkdir(parents=True)
         data.assign_attrs(cells=1000 * cells, edge=0.01 / cells).to_netcdf(folder / "run.nc", engine="h5netcdf")
-    return tmp_path / "flight"
+    return tmp_path
 
 
 def test_the_picture_of_a_flow_is_drawn(made_up_flow):

@@ -184,7 +184,7 @@ def test_the_command_writes_results_a_manifest_and_toml(result):
 
 
 def test_the_figure_is_drawn(result):
-    figure, hashes = FIGURES["fig4_fit"].draw_from_results(result[0] / "flight")
+    figure, hashes = FIGURES["fig4_fit"].draw_from_results(result[0])
     assert len(figure.axes) == 4
     assert set(hashes) == {"freestream"}
 

@@ -230,7 +230,7 @@ def test_the_robot_takes_off_and_lands(measured, tmp_path):
     dataset = record.to_dataset(result, rust.Robot(config["robot"]), title="t", config_digest="d")
     record.write_run(tmp_path / "flight" / "take_off", dataset, {"name": "take_off", "config_digest": "d"})
     out = tmp_path / "out"
-    assert draw(["take_off", "--stale", "--results", str(tmp_path / "flight"), "--out", str(out)]) == 0
+    assert draw(["take_off", "--stale", "--results", str(tmp_path), "--out", str(out)]) == 0
     assert (out / "take_off.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -438,7 +438,7 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
         dataset = record.to_dataset(frontal, robot, title=name, config_digest="d")
         record.write_run(tmp_path / "flight" / name, dataset, {"name": name, "config_digest": "d"})
     out = tmp_path / "out"
-    assert draw(["fig6", "--stale", "--results", str(tmp_path / "flight"), "--out", str(out)]) == 0
+    assert draw(["fig6", "--stale", "--results", str(tmp_path), "--out", str(out)]) == 0
     assert (out / "fig6.pdf").read_bytes().startswith(b"%PDF")
 
 

@@ -50,7 +50,7 @@ def test_the_runs_of_a_figure_can_be_chosen(made_up_results, tmp_path):
 
 def test_flights_of_any_folder_are_drawn_beside_each_other(made_up_results, tmp_path, capsys):
     words = ["compare", "--results", str(made_up_results), "--out", str(tmp_path), "--runs", "test1_published"]
-    words.append(str(made_up_results / "test2"))
+    words.append(str(made_up_results / "flight" / "test2"))
     assert main(words) == 0
     assert [path.stem for path in tmp_path.glob("*.png")] == ["compare--test1_published_test2"]
     assert [runs.load(made_up_results, name).attrs["name"] for name in words[-2:]] == ["test1_published", "test2"]
@@ -66,7 +66,7 @@ def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, caps
     assert main(["fig5", "--results", str(tmp_path), "--out", str(tmp_path)]) == 1
     answer = capsys.readouterr().err
     assert "no flight `test2`" in answer
-    assert f"jax-aero fly test2 --out {tmp_path}" in answer
+    assert f"jax-aero fly test2 --out {tmp_path / 'flight'}" in answer
 
 
 def test_a_wrong_number_of_runs_is_named(capsys):

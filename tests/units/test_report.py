@@ -93,7 +93,7 @@ def write_sweep(results, name, cells, axes, **document):
 def whole(tmp_path_factory, made_up_results):
     """Made-up flights whose manifests say what today's configurations are, and two sweeps."""
     folder = tmp_path_factory.mktemp("whole")
-    for path in shutil.copytree(made_up_results, folder / "flight").glob("*/manifest.json"):
+    for path in shutil.copytree(made_up_results / "flight", folder / "flight").glob("*/manifest.json"):
         document = json.loads(path.read_text())
         with xr.open_dataset(path.with_name("run.nc"), engine="h5netcdf") as run:
             document |= {key: run.attrs[key] for key in ("outcome", "lost_reason", "title")}

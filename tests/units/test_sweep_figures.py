@@ -68,7 +68,7 @@ def write(folder, name, drawing, axes, panels="world"):
 
 def draw(folder, *words, name="made_up"):
     """The exit status of drawing a sweep of `folder/sweeps` into the folder."""
-    return main([name, "--sweeps", str(folder / "sweeps"), "--out", str(folder), *words])
+    return main([name, "--results", str(folder), "--out", str(folder), *words])
 
 
 def test_a_sweep_of_other_numerics_is_refused_or_drawn_and_marked(tmp_path, capsys):
@@ -209,7 +209,7 @@ def test_the_same_results_give_the_same_bytes(tmp_path):
 
 def test_all_draws_what_there_is_and_counts_what_is_missing(tmp_path, capsys):
     write(tmp_path / "sweeps", SWEEPS[0], "levels", ["world", "terms"])
-    assert draw(tmp_path, "--stale", "--results", str(tmp_path), name="all") == 0
+    assert draw(tmp_path, "--stale", name="all") == 0
     said = capsys.readouterr()
     assert f"{SWEEPS[0]}.png" in said.out
     assert "error:" not in said.err

@@ -206,7 +206,7 @@ def test_a_file_of_something_else_is_refused(tmp_path):
 
 
 def test_a_result_without_its_robot_asks_for_it(made_up_results):
-    folder = made_up_results / "test1"
+    folder = made_up_results / "flight" / "test1"
     with pytest.raises(Refused, match="--robot FILE"):
         recording.read(folder)
     assert recording.read(folder, ROBOTS[0]).config is None
