@@ -139,6 +139,31 @@ def test_what_is_missing_is_found_at_once_and_leaves_nothing(channel, duration):
     assert set().union(*said) == {mode}
 
 
+@pytest.mark.parametrize("sensor", ["base_position", "base_rotation", "base_linear_velocity", "height"])
+@pytest.mark.parametrize(("period", "gaps"), [(0.0, 0.4), (0.02, 0.2), (0.05, 0.0), (0.1, 0.0)])
+@pytest.mark.parametrize("kind", ["missing", "wrong", "frozen"])
+def test_a_loss_is_found_in_time_at_every_rate(sensor, period, gaps, kind):
+    """In its first tick, if it is frozen within 0.1 s, a height's after the 0.15 s of a gap; then in each to the end.
+
+    Before and after it the modes are those of the flight without it: nothing remains.
+    """
+    channel = "base_velocity" if "velocity" in sensor else sensor
+    mode = "ground_held" if sensor == "height" else f"{channel.removeprefix('base_')}_predicted"
+    error = 3.0 * ERRORS[channel] if kind == "wrong" else None
+    changes = {"simulator.duration": 0.7, "simulator.sensors": {sensor: {"period": period, "gaps": gaps}}}
+    (agrees, said), (_, usual) = (
+        fly("test2", changes | {"disturbances.outages": outages})
+        for outages in ([outage(channel, kind, 0.195, 0.3, error)], [])
+    )
+    assert agrees
+    within = 0.01 + (0.09 if kind == "frozen" else 0.0) + (0.15 if sensor == "height" else 0.0)
+    first, last = 20 + round(100.0 * within) - 1, 49
+    assert all(mode in modes for modes in said[first : last + 1])
+    assert said[:20] == usual[:20]
+    settled = last + 1 + round(100.0 * period)
+    assert said[settled:] == usual[settled:]
+
+
 TELLING = (
     (0.1, [outage("base_position", "wrong", 0.0, 0.005, 0.08)]),
     (0.5, [outage("base_rotation", "frozen", 0.2, 0.2)]),
