@@ -29,6 +29,9 @@ OF_THRUST, LEAST_COSINE, OF_MISSING = 0.75, 0.9, 0.4
 HELD = 0.5
 """Time after a stop in which it can be given back and w̄ is held [s]."""
 
+FORGOTTEN = 0.1
+"""Time after which a jet whose sensor is not used is looked at as a silent one [s]."""
+
 
 def product(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     """Return ⟨u, w⟩ of two wrenches."""
@@ -187,7 +190,8 @@ class Engines:
         missing, explained = -along / sizes, along**2 / sizes
         is_alike = explained > LEAST_COSINE * product(change, change)
         shows = is_alike & (missing > np.maximum(self.least, OF_MISSING * thrust))
-        can = are_silent & (thrust > self.least) & (self.state <= LIMITED)
+        are_unused = ~self.believed & (self.since + covered > FORGOTTEN)
+        can = (are_silent | are_unused) & (thrust > self.least) & (self.state <= LIMITED)
         of_jet = int(np.argmax(np.where(shows & can, explained, -1.0))) if (shows & can).any() else None
         is_held = of_jet is not None
         for jet in range(len(self.state)):

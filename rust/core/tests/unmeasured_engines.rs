@@ -168,6 +168,19 @@ fn a_frozen_thrust_is_not_a_measured_one() {
     }
 }
 
+/// An engine whose sensor was found to be wrong is a suspect like one without a sensor, whatever it says, after more than 0.1 s.
+#[test]
+fn a_sensor_that_is_not_used_is_none() {
+    for (is_believed, since, found) in [(true, 1.0, None), (false, 1.0, Some(3)), (false, 0.045, Some(8))] {
+        let mut robot = Robot::new();
+        robot.missing = [false; 3];
+        assert_eq!(robot.first(5, CALM), None);
+        (robot.conditions[0].is_believed, robot.conditions[0].since) = (is_believed, since);
+        let lost = robot.without(0, THRUST);
+        assert_eq!(robot.first(9, lost), found);
+    }
+}
+
 /// Times are those that the momentum covers: 0.02 s are three ticks, two measurements every 0.02 s, or one of 0.05 s and more.
 #[test]
 fn a_confirmation_is_a_time_of_measured_momentum() {

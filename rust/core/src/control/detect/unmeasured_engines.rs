@@ -7,8 +7,8 @@
 //! e_i = ⟨w − w̄, a_i⟩² / (⟨a_i, a_i⟩ ⟨w − w̄, w − w̄⟩)    share of the change that this explains
 //! ```
 //!
-//! A thrust that is missing, or has the same bits, for two hundredths of a second says nothing about its engine: the jet is a
-//! suspect. Ideal sensors and rounded thrusts repeat bits too, so the momentum decides. If the suspect that explains most
+//! A thrust that is missing, or has the same bits, for two hundredths of a second says nothing about its engine, nor does
+//! one whose sensor was found to be wrong some time ago: the jet is a suspect. Ideal sensors and rounded thrusts repeat bits too, so the momentum decides. If the suspect that explains most
 //! lacks much of its thrust for a confirmation time, its engine has stopped, and the observed wrench is the one of before. If
 //! the momentum soon shows the thrust that was taken away, or a sensor that speaks again and the momentum agree for long
 //! enough, the engine works. Times are those that measured momenta cover. What follows from a finding says the table of
@@ -36,6 +36,10 @@ modes! {
 
 /// Time without a new thrust after which a jet is a suspect \[s\].
 const REPEATED: f64 = 0.01;
+
+/// Time with measured momentum after which its residual has forgotten the error of a sensor that was found to be wrong \[s\]:
+/// five of its time constants.
+const FORGOTTEN: f64 = 0.1;
 
 /// Time constant `τ` of the wrench of before \[s\].
 const MEMORY: f64 = 1.0;
@@ -232,8 +236,9 @@ impl UnmeasuredEngines {
         let mut found = (None, EXPLAINED);
         for (index, (jet, engine)) in jets.iter().zip(engines).enumerate().take(a_t.ncols()) {
             let ((lacked, explained), used) = (lack(index), thrust[index]);
-            let is_silent = jet.silent.has_lasted(REPEATED, elapsed);
-            let is_suspect = !engine.has_stopped() && is_silent && used > least;
+            let is_unused = !engine.is_believed && engine.since + covered > FORGOTTEN;
+            let is_unknown = jet.silent.has_lasted(REPEATED, elapsed) || is_unused;
+            let is_suspect = !engine.has_stopped() && is_unknown && used > least;
             if is_suspect && lacked > least.max(LACKED * used) && explained > found.1 {
                 found = (Some(index), explained);
             }
