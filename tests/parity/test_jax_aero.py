@@ -15,22 +15,13 @@ from jax_aero.aero import LinksInAir, aero_model
 from jax_aero.aero.pchip import interpolate, pchip
 from jax_aero.base.typed_config import aero_config
 from jax_aero.body.robot import load_robot
+from tests.aero_kinds import OF_LINKS
 
 pytestmark = pytest.mark.usefixtures("x64")
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-10
-MODELS = {
-    "axisymmetric": {"model": "axisymmetric", "coefficients": "corrected", "air_density": 1.225},
-    "off": {"model": "off"},
-}
 SPEEDS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 40.0, 300.0)
-
-
-@pytest.fixture(scope="module")
-def models():
-    robustness = rust.load_config("robustness_axisymmetric_vs_sphere_cylinder")
-    return {**MODELS, "sphere_cylinder": robustness["controller"]["aero"]}
 
 
 @pytest.mark.parametrize(
@@ -49,10 +40,10 @@ def test_interpolation_is_scipys(x, y, measured):
     measured("value", np.abs(ours - PchipInterpolator(x, y)(at)).max(), 3e-14)
 
 
-@pytest.mark.parametrize("name", ["axisymmetric", "sphere_cylinder", "off"])
-def test_forces(models, name, robot, robot_name, agree):
+@pytest.mark.parametrize("name", OF_LINKS)
+def test_forces(name, robot, robot_name, agree):
     """At every speed, also none, and for wind along the axis from both sides."""
-    table = dict(models[name])
+    table = rust.load_aero(OF_LINKS[name])
     ours = load_robot(ROOT / "configs" / "robot" / f"{robot_name}.toml")
     if name == "axisymmetric":
         table["coefficients"] = sorted(ours.aero_links.coefficients)[0]

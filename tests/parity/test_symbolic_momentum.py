@@ -20,6 +20,7 @@ from jax_aero.control.law.momentum import momentum_model
 from jax_aero.rust import Controller
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.types import State as TwinState
+from tests.aero_kinds import OF_LINKS
 from tests.parity.fitted import fitted
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,10 +74,10 @@ IMPLEMENTATIONS = {"rust": crate, "jax": twin}
 
 
 def aero_tables(robot_name):
-    cylinders = rust.load_aero(ROOT / "configs/aero/sphere_cylinder.toml")
+    others = [rust.load_aero(name) for kind, name in OF_LINKS.items() if kind != "axisymmetric"]
     sets = load_robot(ROOT / f"configs/robot/{robot_name}.toml").coefficients
     printed = [{"model": "axisymmetric", "coefficients": name, "air_density": 1.225} for name in sorted(sets)]
-    return [{"model": "off"}, cylinders, *printed]
+    return [*others, *printed]
 
 
 CASES = [

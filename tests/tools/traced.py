@@ -24,6 +24,7 @@ from jax_aero.control.estimate import estimator
 from jax_aero.control.law import recorded
 from jax_aero.control.tick import MomentumController, momentum_controller
 from jax_aero.sim import sensors
+from tests.aero_kinds import FILES
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -109,7 +110,7 @@ def trace_aerodynamics() -> None:
     """Trace the forces of every kind of aerodynamic model."""
     model = robot.load_robot(CONFIGS / "robot" / "ironcub_mk1.toml")
     state = types.State(np.zeros(3), np.eye(3), np.zeros(model.n_joints), np.ones(model.n_velocities))
-    for name in ("off", "axisymmetric_corrected", "sphere_cylinder", "network"):
+    for name in FILES.values():
         chosen = aero.aero_model(typed_config.aero_config(rust.load_aero(name)), model)
 
         def wrench(state: types.State, chosen: aero.AeroModel = chosen) -> Any:

@@ -10,10 +10,11 @@ from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.body.mujoco_model import mujoco_model
 from jax_aero.symbolic import MomentumModel, load_robot
+from tests.aero_kinds import OF_LINKS
 from tests.measurements import measured
 
 
-@pytest.fixture(scope="module", params=["axisymmetric_corrected", "sphere_cylinder"])
+@pytest.fixture(scope="module", params=[name for kind, name in OF_LINKS.items() if kind != "off"])
 def model(request):
     return MomentumModel(load_robot(places.ROBOT), rust.load_aero(request.param))
 

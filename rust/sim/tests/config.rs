@@ -296,7 +296,7 @@ fn missing_and_ill_typed_keys_are_named() {
         (
             "controller.aero.model",
             json!("magic"),
-            "is \"magic\"; expected one of off, axisymmetric, sphere_cylinder, network",
+            "is \"magic\"; expected one of off, axisymmetric",
         ),
         (
             "wind.profile",
