@@ -251,8 +251,7 @@ ELSEWHERE = [name for name in kept.names() if kept.read(name).firsts and not any
 FLOWN = 3
 """Flights of a cell whose share is compared."""
 TO_FLY = {
-    "convergence_robot", "robot_faults", "robot_gap_loss", "robot_gap_sensor",
-    "robot_ground", "robot_height_errors", "robot_margins", "robot_rates", "robot_take_off",
+    "convergence_robot", "robot_gap_loss", "robot_gap_sensor", "robot_ground", "robot_take_off",
 }  # fmt: skip
 """Stored sweeps of an earlier configuration, or whose flights have other bits by now, to be flown anew."""
 
