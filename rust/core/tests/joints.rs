@@ -126,6 +126,33 @@ fn a_share_that_changes_is_revised() {
     }
 }
 
+/// What is found later is found in the same tick and with the same share as if nothing had been taken back.
+#[test]
+fn nothing_remains_of_what_is_taken_back() {
+    let mut robots = [Robot::settled(), Robot::settled()];
+    let mut was_weak = false;
+    let tick = |robot: &mut Robot, tick: i32, acting: f64| {
+        let moved = 0.004 * (0.05 * f64::from(tick)).cos();
+        let lost = robot.lost(2, acting);
+        robot.tick(&[0.0, 0.0, lost], &[0.0, 0.0, moved], &[0.0; 3]);
+        robot.found()
+    };
+    // The mean forgets in a second.
+    for time in 0..1500 {
+        let found = tick(&mut robots[0], time, if time < 60 { 0.5 } else { 1.0 });
+        was_weak |= matches!(found[2], Weak(_));
+        assert_eq!(tick(&mut robots[1], time, 1.0), [Healthy; 3]);
+    }
+    assert!(was_weak);
+    assert_eq!(robots[0].found(), [Healthy; 3]);
+    let [(then, found), (expected_then, expected)] = robots.map(|mut robot| {
+        let then = (1500..1600).find(|time| tick(&mut robot, *time, 0.4)[2] != Healthy).unwrap();
+        (then, robot.found()[2].effectiveness())
+    });
+    assert_eq!(then, expected_then);
+    assert_within!((found - expected).abs(), 1e-4, because "e^-14 of a mean of 1 N m, and its square");
+}
+
 /// Errors of the model are there from the start, are small, or act on a joint in the direction of its torque.
 #[test]
 fn errors_of_the_model_are_no_faults() {
