@@ -110,6 +110,32 @@ fn judgement_waits() {
     assert!((20..30).contains(&ticks), "{ticks} ticks after a finding");
 }
 
+/// A suspicion that ends, or is interrupted, begins anew.
+#[test]
+fn suspicions_do_not_add_up() {
+    let mut robot = Robot::settled();
+    for tick in 0..400 {
+        let lost = if tick % 40 == 0 { robot.lost(0, 0.0) } else { 0.0 };
+        robot.tick(&[lost, 0.0, 0.0], &[0.01, 0.0, 0.0], &[0.0; 3]);
+        assert_eq!(robot.found(), [Healthy; 3], "tick {tick}");
+    }
+    let ticks = [0, 4].map(|before| {
+        let mut robot = Robot::settled();
+        let is_found = |robot: &mut Robot| {
+            let lost = robot.lost(0, 0.0);
+            robot.tick(&[lost, 0.0, 0.0], &[0.01, 0.0, 0.0], &[0.0; 3]);
+            robot.found()[0] != Healthy
+        };
+        for _ in 0..before {
+            assert!(!is_found(&mut robot));
+        }
+        robot.state.interrupt();
+        (1..100).find(|_| is_found(&mut robot))
+    });
+    assert!(ticks[0].is_some());
+    assert_eq!(ticks[0], ticks[1]);
+}
+
 /// A joint that gets its torque back is as good as before; one that loses the rest becomes free.
 #[test]
 fn a_share_that_changes_is_revised() {
