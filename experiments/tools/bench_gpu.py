@@ -1,10 +1,12 @@
 """Compute what flights take on a GPU, without one: `python -m experiments.tools.bench_gpu`.
 
 XLA compiles for an NVIDIA H200 that a text describes, for which it needs JAX's CUDA packages and no device. Of each
-program the kernels, library calls and bytes are counted; the least time is 2.5 µs for each kernel and call, and that in
-which its bytes are moved at 4.8 TB/s. It has no caches, and how many passes a QP needs is counted here, in flights of
-many robots in turbulence. Prints all of it. The status is 1 if a program takes more than a twentieth more than in
-`docs/results/bench_gpu.json`, which `--store` replaces. Where JAX sees a GPU, ticks a second are measured on it, too.
+program the kernels, library calls and bytes of one pass of a tick are counted; the least time is 2.5 µs for each kernel
+and call, and that in which its bytes are moved at 4.8 TB/s. A device takes longer: a call that factorises a batch
+counts like any other, and what the host reads to end a loop not at all. It has no caches, and how many passes a QP
+needs is counted here, in flights of many robots in turbulence. Prints all of it. The status is 1 if a program takes
+more than a twentieth more than in `docs/results/bench_gpu.json`, which `--store` replaces. Where JAX sees a GPU, ticks
+a second are measured on it, too.
 """
 
 from __future__ import annotations
