@@ -62,6 +62,7 @@ def fault(joint, kind):
     [
         (stops(0.3) | {"simulator.duration": 1.0}, "descending"),
         (fault("torso_pitch", "stuck") | {"simulator.duration": 4.3}, "joint_limited"),
+        (fault("torso_pitch", "stuck") | stops(4.2) | {"simulator.duration": 4.8}, "descending"),
         (fault("torso_pitch", "weak") | {"simulator.duration": 3.2}, "joint_limited"),
         (fault("l_shoulder_pitch", "free") | {"simulator.duration": 2.7}, "joint_limited"),
     ],

@@ -99,6 +99,13 @@ impl Limits {
         self.joints.copy_from_slice(&other.joints);
     }
 
+    /// Lowers the greatest velocities of joints that are stuck or free, those of a descent too.
+    pub(super) fn slow_joints(&mut self) {
+        for (joint, velocity_max) in self.joints.iter().zip(&mut self.joint_velocity) {
+            *velocity_max = joint.velocity_max(*velocity_max);
+        }
+    }
+
     /// Takes the gains, and the rates of the joints, of a descent.
     pub(super) fn descend(&mut self, of_descent: &Self) {
         let Self { gains, holds_position, joint_velocity, torque_rate, .. } = of_descent;

@@ -188,9 +188,6 @@ impl Detector for Joints {
             state.interrupt();
         }
         limits.joints.copy_from_slice(&state.found);
-        for (found, velocity_max) in state.found.iter().zip(&mut limits.joint_velocity) {
-            *velocity_max = found.velocity_max(*velocity_max);
-        }
         if state.found.iter().any(|found| *found != JointCondition::Healthy) {
             findings.modes.insert(Modes::JOINT_LIMITED);
         }

@@ -52,6 +52,7 @@ impl Controller {
             }
         }
         state.descent.is_without_engine = self.engines.limit(engines, state.contact.is_active, limits);
+        limits.slow_joints();
         estimate.modes.insert(findings.modes);
         estimate.modes.insert(modes_of(engines));
         if let Some((observer, wrench)) = disturbance.as_mut().zip(findings.unmodelled) {
