@@ -7,20 +7,16 @@ threads; up to 32 are not split). Small chunks also stay in the cache.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, cast
+from typing import cast
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.custom_batching import custom_vmap
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
+from jax_aero.body.batches import in_chunks, map_in_chunks, with_batch_rule
 from jax_aero.types import Array
-
-CHUNK = 16
-"""Number of samples per LAPACK call on a CPU."""
 
 dot = partial(jnp.matmul, precision="highest")
 """Matrix product in full precision on every device."""
@@ -72,74 +68,7 @@ def solve_factored(factor: Float[Array, "u u"], b: Float[Array, "u k"]) -> Float
 # --- batches ------------------------------------------------------------------------------------------------------
 
 
-def with_batch_rule(one: Callable[..., Any], batch: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `one`, a function of one sample, with `batch` as its implementation under `vmap`; samples come first.
-
-    Nested `vmap` gives one long batch. Differentiation of both functions is left to the caller.
-    """
-    batched: Any = custom_vmap(batch)
-    single: Any = custom_vmap(one)
-
-    def spread(size: int, is_batched: Any, args: Any) -> Any:
-        def leaf(x: Array, has_axis: bool) -> Array:
-            return x if has_axis else jnp.broadcast_to(x, (size, *jnp.shape(x)))
-
-        return jax.tree.map(leaf, args, tuple(is_batched))
-
-    def rule_of_single(size: int, is_batched: Any, *args: Any) -> Any:
-        out = batched(*spread(size, is_batched, args))
-        return out, jax.tree.map(lambda _: True, out)
-
-    def rule_of_batch(size: int, is_batched: Any, *args: Any) -> Any:
-        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), spread(size, is_batched, args))
-        out = jax.tree.map(lambda x: x.reshape(size, -1, *x.shape[1:]), batched(*flat))
-        return out, jax.tree.map(lambda _: True, out)
-
-    single.def_vmap(rule_of_single)
-    batched.def_vmap(rule_of_batch)
-    chosen: Callable[..., Any] = single
-    return chosen
-
-
-@custom_vmap
-def any_in_batch(is_so: Bool[Array, ""]) -> Bool[Array, ""]:
-    """Return whether it is so, under `vmap` in any sample: a `cond` by it computes one branch for the whole batch."""
-    return is_so
-
-
-@any_in_batch.def_vmap
-def _any_in_batch(_size: int, _is_batched: Any, is_so: Bool[Array, " b"]) -> tuple[Bool[Array, ""], bool]:
-    return any_in_batch(jnp.any(is_so)), False
-
-
-def map_in_chunks(
-    one: Callable[..., Any], inputs: Any, out: Any, order: Int[Array, " k"], count: Int[Array, ""] | int
-) -> Any:
-    """Replace the rows `order[:count]` of `out` by `one(*inputs, out)` of the same rows, `CHUNK` rows at a time."""
-    chunk = min(CHUNK, order.shape[0])
-
-    def map_chunk(k: Array, out: Any) -> Any:
-        # The last slice is shifted to fit, so it may repeat earlier rows or include rows beyond `count`.
-        rows = lax.dynamic_slice(order, (k * chunk,), (chunk,))
-        new = jax.vmap(one)(*jax.tree.map(lambda leaf: leaf[rows], (*inputs, out)))
-        return jax.tree.map(lambda leaf, part: leaf.at[rows].set(part), out, new)
-
-    return lax.fori_loop(0, (count + chunk - 1) // chunk, map_chunk, out)
-
-
-def _in_chunks(one: Callable[..., Array]) -> Callable[..., Array]:
-    """Return a function of one sample that on a CPU computes a batch `CHUNK` samples at a time."""
-
-    def batch(*inputs: Array) -> Array:
-        def chunks(*inputs: Array) -> Array:
-            return cast(Array, lax.map(lambda sample: one(*sample), inputs, batch_size=CHUNK))
-
-        return cast(Array, lax.platform_dependent(*inputs, cpu=chunks, default=jax.vmap(one)))
-
-    return with_batch_rule(one, batch)
-
-
-_solve = _in_chunks(lambda a, b: solve_factored(cholesky(a), b))
+_solve = in_chunks(lambda a, b: solve_factored(cholesky(a), b))
 
 
 def _inverse_one(a: Array) -> Array:
@@ -149,7 +78,7 @@ def _inverse_one(a: Array) -> Array:
     return dot(inverse_factor.T, inverse_factor)
 
 
-_inverse = _in_chunks(_inverse_one)
+_inverse = in_chunks(_inverse_one)
 
 
 def _inverse_unless_one(is_known: Array, known: Array, a: Array) -> Array:

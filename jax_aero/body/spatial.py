@@ -179,7 +179,7 @@ def project_to_so3(near: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3
     xp = namespace(near)
     r = near
     for _ in range(2):
-        r = 0.5 * r @ (3.0 * xp.eye(3, dtype=r.dtype) - xp.swapaxes(r, -1, -2) @ r)
+        r = multiply(0.5 * r, 3.0 * xp.eye(3, dtype=r.dtype) - multiply(xp.swapaxes(r, -1, -2), r))
     return r
 
 

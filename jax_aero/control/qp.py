@@ -28,15 +28,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from jax_aero.body.linalg import (
-    CHUNK,
-    cholesky,
-    dot,
-    map_in_chunks,
-    solve_factored,
-    solve_positive_definite,
-    with_batch_rule,
-)
+from jax_aero.body.batches import CHUNK, keep_answer, map_in_chunks, with_batch_rule
+from jax_aero.body.linalg import cholesky, dot, solve_factored, solve_positive_definite
 from jax_aero.types import Array, where
 
 Dtype: TypeAlias = np.dtype[Any] | type[np.floating[Any]]
@@ -154,7 +147,7 @@ def _minimise(qp: BoxQp, start: WarmStart) -> QpAnswer:
 @_minimise.defjvp
 def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     (qp, start), (d_qp, _) = primals, tangents
-    answer = _minimise(qp, start)
+    answer = keep_answer(_minimise(qp, start))
     none: Any = partial(np.zeros, dtype=jax.dtypes.float0)
     side, status, iterations = (none(code.shape) for code in (answer.side, answer.status, answer.iterations))
     return answer, QpAnswer(_derivative(qp, answer, d_qp), side, jnp.zeros_like(answer.kkt), status, iterations)

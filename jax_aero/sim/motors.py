@@ -14,14 +14,17 @@ Equation M153 of `docs/model`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Bool, Float
 
-from jax_aero.body.dynamics import accelerate
-from jax_aero.body.linalg import invert
+from jax_aero.body.batches import keep_answer, map_in_chunks, with_batch_rule
+from jax_aero.body.linalg import cholesky, invert, solve_factored
 from jax_aero.body.robot import RobotModel
 from jax_aero.config import MotorsConfig
 from jax_aero.types import Array, InverseMass, State, leaf, pytree
@@ -128,35 +131,17 @@ class Motors:
         step: Float[Array, ""],
     ) -> Driven:
         """Add the drives to a robot in a state, under these torques of them [N m]; `force` contains `−h`."""
-        velocity = joints.velocity[6:]
-
-        def add(motors: Motors, of: _Given, slip: Array, unless: tuple[Array, Array] | None) -> Driven:
-            """Add them as they slip now; return how they slip then."""
-            reaction = motors._react(of, slip)
-            moved = of.force + jnp.pad(reaction.torque - reaction.slope * of.velocity, (6, 0))
-            # Inverted anew whatever is added, so that nobody needs the inverse without drives.
-            inertia = of.inverse_mass.joint_inertia + jnp.diag(of.step * reaction.slope)
-            inverse = of.inverse_mass._replace(joint_inertia=inertia, joint_gain=invert(inertia, unless))
-            after = reaction.velocity(of.velocity + of.step * accelerate(inverse, moved)[6:])
-            found = jnp.where(jnp.abs(after) > SLIP, jnp.sign(after), 0.0)
-            return Driven(inverse, moved, reaction, lax.stop_gradient(found))
-
-        given = _Given(state, torque, joints.joint_position, velocity, inverse_mass, force, step)
+        velocity, still_force = joints.velocity[6:], force[6:] - force[:6] @ inverse_mass.coupling
+        given = _Given(state, torque, joints.joint_position, velocity, inverse_mass.joint_inertia, still_force, step)
         motors, still = lax.stop_gradient((self, given))
-        first = add(motors, still, state.slip, None)
-
-        def is_open(search: _Search) -> Array:
-            is_other = (still.state.friction != 0.0) & (search.slip != search.found)
-            return (search.passes < PASSES) & jnp.any(is_other)
-
-        def go_on(search: _Search) -> _Search:
-            # In a batch also those whose search has ended come here, with the inverse that they have found.
-            after = add(motors, still, search.found, (~is_open(search), search.joint_gain))
-            return _Search(search.found, after.slip, after.inverse_mass.joint_gain, search.passes + 1)
-
-        start = _Search(state.slip, first.slip, first.inverse_mass.joint_gain, jnp.array(1, jnp.int32))
-        ended: _Search = lax.while_loop(is_open, go_on, lax.stop_gradient(start))
-        return add(self, given, ended.slip, (jnp.array(True), ended.joint_gain))._replace(slip=ended.found)
+        # Inverted anew whatever is added, so that nobody needs the inverse without drives.
+        gain = invert(motors._inertia(still, state.slip))
+        found = motors._slip_after(still, state.slip, lambda force: gain @ force)
+        ended = keep_answer(_search(motors, still, _Search(state.slip, found, jnp.array(1, jnp.int32))))
+        reaction, inertia = self._react(given, ended.slip), self._inertia(given, ended.slip)
+        inverse = inverse_mass._replace(joint_inertia=inertia, joint_gain=invert(inertia, (ended.passes == 1, gain)))
+        force = force + jnp.pad(reaction.torque - reaction.slope * velocity, (6, 0))
+        return Driven(inverse, force, reaction, ended.found)
 
     def advance(self, state: MotorsState, driven: Driven, after: State, step: Float[Array, ""]) -> MotorsState:
         """Return the drives after a step to this state of the robot."""
@@ -183,6 +168,17 @@ class Motors:
         gain, constant = stiff / (resistance + stiff), (push - twist) / (resistance + stiff)
         return Reaction(twist + stiff * constant, resistance * gain, constant, gain)
 
+    def _inertia(self, of: _Given, slip: Array) -> Array:
+        """Return the inertia of the joints with the drives."""
+        return of.inertia + jnp.diag(of.step * self._react(of, slip).slope)
+
+    def _slip_after(self, of: _Given, slip: Array, solve: Callable[[Array], Array]) -> Array:
+        """Return how motors slip after the step that slip as given in it; `solve` divides by the inertia."""
+        reaction = self._react(of, slip)
+        acceleration = solve(of.force + reaction.torque - reaction.slope * of.velocity)
+        after = reaction.velocity(of.velocity + of.step * acceleration)
+        return jnp.where(jnp.abs(after) > SLIP, jnp.sign(after), 0.0)
+
 
 class _Search(NamedTuple):
     """The search for the motors that slip."""
@@ -191,8 +187,6 @@ class _Search(NamedTuple):
     """Signs for which the last pass was made."""
     found: Array
     """What it found."""
-    joint_gain: Array
-    """Its inverse of the joints' inertia."""
     passes: Array
 
 
@@ -203,9 +197,42 @@ class _Given(NamedTuple):
     torque: Array
     position: Array
     velocity: Array
-    inverse_mass: InverseMass
+    inertia: Array
+    """Inertia of the joints on a base that floats freely, without drives."""
     force: Array
+    """Force on the joints there."""
     step: Array
+
+
+def _is_open(of: _Given, search: _Search) -> Array:
+    is_other = (of.state.friction != 0.0) & (search.slip != search.found)
+    return (search.passes < PASSES) & jnp.any(is_other)
+
+
+def _search_one(motors: Motors, of: _Given, search: _Search) -> _Search:
+    def go_on(search: _Search) -> _Search:
+        def solve(force: Array) -> Array:
+            return solve_factored(cholesky(motors._inertia(of, search.found)), force[:, None])[:, 0]
+
+        return _Search(search.found, motors._slip_after(of, search.found, solve), search.passes + 1)
+
+    ended: _Search = lax.while_loop(partial(_is_open, of), go_on, search)
+    return ended
+
+
+def _search_batch(motors: Motors, of: _Given, search: _Search) -> _Search:
+    """Search for a whole batch; on a CPU only where the first pass has found other signs."""
+
+    def chunks(motors: Motors, of: _Given, search: _Search) -> _Search:
+        is_open = jax.vmap(_is_open)(of, search)
+        ended: _Search = map_in_chunks(_search_one, (motors, of), search, jnp.argsort(~is_open), jnp.sum(is_open))
+        return ended
+
+    found: _Search = lax.platform_dependent(motors, of, search, cpu=chunks, default=jax.vmap(_search_one))
+    return found
+
+
+_search = with_batch_rule(_search_one, _search_batch)
 
 
 def motors_of(settings: MotorsConfig | None, robot: RobotModel) -> Motors | None:

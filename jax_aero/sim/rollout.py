@@ -21,6 +21,7 @@ from jaxtyping import Int
 from jax_aero import rust
 from jax_aero.base.result import FlightResult, Outcome
 from jax_aero.base.terminal import Progress
+from jax_aero.body.batches import compute_again
 from jax_aero.config import ScenarioConfig
 from jax_aero.sim.outcome import COURSE_ERROR, FLYING, NOT_FINITE, lost_reason
 from jax_aero.sim.plant import CHUNK, COMPILER_OPTIONS
@@ -66,7 +67,7 @@ def rollout(
         return state, keep(row)
 
     ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
-    return jax.lax.scan(jax.checkpoint(fly_tick, prevent_cse=False) if recompute else fly_tick, state, ticks)
+    return jax.lax.scan(compute_again(fly_tick) if recompute else fly_tick, state, ticks)
 
 
 @jax.jit(static_argnames=("n_ticks",), compiler_options=COMPILER_OPTIONS)

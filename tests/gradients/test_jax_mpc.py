@@ -56,7 +56,7 @@ def test_gradient_of_a_plan(check_gradient):
         wrenches = jnp.zeros((len(mpc.structure.durations), 6))
         ahead = horizon(changed, None, gains, robot, at["linear"], now, model, state.joint_position, target, wrenches)
         u = qp.solve(ahead.problem(beyond, jnp.full(ahead.g.shape, -40.0), jnp.full(ahead.g.shape, 40.0))).x
-        return {"u": u, "values": ahead.free + ahead.by_inputs @ u}
+        return {"u": u, "values": ahead.free + ahead.changes(u)}
 
     at = {name: getattr(mpc.weights, name) for name in WEIGHTS}
     at |= {name: getattr(mpc, name) for name in ("decay", "thrust_excess", "clearance")}

@@ -177,15 +177,27 @@ def test_ticks_without_a_new_plan(flown, agree):
 
 def test_the_least_cost_on_the_way_is_that_of_many_points(x64):
     """Of random costs, in which ways leave limits below and above."""
-    rng, inputs, values, shares = np.random.default_rng(0), 6, 12, np.linspace(0.0, 1.0, 20_001)
+    rng, shares = np.random.default_rng(0), np.linspace(0.0, 1.0, 20_001)
+    # Three knots with a jet of three inputs and two joints of two; three distances.
+    of_knot, inputs = 6, 7
+    values = 3 * of_knot
     for _ in range(20):
-        factor, by_inputs = rng.normal(size=(inputs, inputs)), rng.normal(size=(values, inputs))
+        factor = rng.normal(size=(inputs, inputs))
+        by_rates, by_commands, by_joints = (rng.normal(size=size) for size in ((3, 1, 3), (3, 2, 2), (3, 2)))
+        by_inputs = np.zeros((3, of_knot, inputs))
+        by_inputs[:, :1, :3] = by_rates
+        for joint in range(2):
+            by_inputs[:, 1 + joint, 3 + joint :: 2] = by_commands[:, joint]
+        by_inputs[:, 3:] = by_joints @ by_inputs[:, 1:3]
+        by_inputs = by_inputs.reshape(values, inputs)
         h, g, weight = factor @ factor.T, rng.normal(size=inputs), rng.uniform(1.0, 50.0, values)
         free, start, end = rng.normal(size=values), rng.normal(size=inputs), rng.normal(size=inputs)
         least, greatest = free - rng.uniform(0.2, 2.0, values), free + rng.uniform(0.2, 2.0, values)
-        none = np.zeros((1, 1, 1))
-        parts = map(jnp.asarray, (h, g, by_inputs, none, none, none[0], free, least, greatest, weight))
-        found = float(Horizon(*parts, None).least_on_way(jnp.asarray(start), jnp.asarray(end)))
+        parts = map(jnp.asarray, (h, g, by_rates, by_commands, by_joints, free, least, greatest, weight))
+        ahead = Horizon(*parts, None)
+        np.testing.assert_allclose(ahead.changes(jnp.asarray(start)), by_inputs @ start, rtol=1e-13, atol=1e-13)
+        np.testing.assert_allclose(ahead.slope(jnp.asarray(free)), free @ by_inputs, rtol=1e-13, atol=1e-13)
+        found = float(ahead.least_on_way(jnp.asarray(start), jnp.asarray(end)))
         at = start + shares[:, None] * (end - start)
         beyond = free + at @ by_inputs.T
         beyond = beyond - np.clip(beyond, least, greatest)

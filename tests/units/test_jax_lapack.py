@@ -18,7 +18,8 @@ from jax import lax
 from jax_aero import rust, sim
 from jax_aero.aero.network_card import load_network
 from jax_aero.base.typed_config import scenario_config
-from jax_aero.body.linalg import CHUNK, any_in_batch, invert, solve_positive_definite
+from jax_aero.body.batches import CHUNK, any_in_batch
+from jax_aero.body.linalg import invert, solve_positive_definite
 from jax_aero.body.robot import load_robot
 from jax_aero.control import qp
 

@@ -79,8 +79,6 @@ class Horizon(NamedTuple):
 
     h: Float[Array, "u u"]
     g: Float[Array, " u"]
-    by_inputs: Float[Array, "m u"]
-    """Limited values by the inputs."""
     by_rates: Float[Array, "K j i"]
     """Thrusts by their own inputs."""
     by_commands: Float[Array, "K f i"]
@@ -96,16 +94,38 @@ class Horizon(NamedTuple):
     engines: EngineHorizon | None
     """`None` for ideal jets."""
 
+    def changes(self, u: Float[Array, " u"]) -> Float[Array, " m"]:
+        """Return what the inputs add to the limited values; distances follow the positions of the joints."""
+        thrusts, commands = self._split(u)
+        of_thrusts = jnp.sum(self.by_rates * thrusts.T, axis=-1)
+        of_joints = jnp.sum(self.by_commands * commands.T, axis=-1)
+        return jnp.concatenate([of_thrusts, of_joints, dot(of_joints, self.by_joints.T)], axis=1).reshape(-1)
+
+    def slope(self, factors: Float[Array, " m"]) -> Float[Array, " u"]:
+        """Return the derivative by the inputs of the sum of the limited values with these factors."""
+        jets, free = self.by_rates.shape[1], self.by_commands.shape[1]
+        thrusts, joints, apart = jnp.split(factors.reshape(self.by_rates.shape[0], -1), [jets, jets + free], axis=1)
+        joints = joints + dot(apart, self.by_joints)
+        by_thrusts = jnp.sum(thrusts[:, :, None] * self.by_rates, axis=0)
+        by_joints = jnp.sum(joints[:, :, None] * self.by_commands, axis=0)
+        return jnp.concatenate([by_thrusts.T.reshape(-1), by_joints.T.reshape(-1)])
+
+    def _split(self, u: Array) -> tuple[Array, Array]:
+        """Return the inputs of thrusts (i, j) and of joints (i, f)."""
+        _, jets, inputs = self.by_rates.shape
+        thrusts, commands = jnp.split(u, [jets * inputs])
+        return thrusts.reshape(inputs, jets), commands.reshape(self.by_commands.shape[2], self.by_commands.shape[1])
+
     def beyond(self, u: Float[Array, " u"]) -> Int[Array, " m"]:
         """Return which values the inputs bring beyond their limits: -1 below, 1 above, 0 within."""
-        value = self.free + dot(self.by_inputs, u)
+        value = self.free + self.changes(u)
         return (value > self.greatest).astype(jnp.int8) - (value < self.least).astype(jnp.int8)
 
     def problem(self, beyond: Int[Array, " m"], lower: Float[Array, " u"], upper: Float[Array, " u"]) -> BoxQp:
         """Return the QP that contains the cost of these values beyond their limits."""
         over = self.free - jnp.where(beyond > 0, self.greatest, self.least)
         weight = jnp.where(beyond == 0, 0.0, self.weight)
-        g = self.g + dot(jnp.where(beyond == 0, 0.0, weight * over), self.by_inputs)
+        g = self.g + self.slope(jnp.where(beyond == 0, 0.0, weight * over))
         # A thrust depends on its own inputs alone; distances on positions of joints, which do.
         (knots, jets, _), free = self.by_rates.shape, self.by_commands.shape[1]
         thrusts, joints, apart = jnp.split(weight.reshape(knots, -1), [jets, jets + free], axis=1)
@@ -123,7 +143,7 @@ class Horizon(NamedTuple):
         """
         way = end - start
         slope, curvature = dot(dot(self.h, start) + self.g, way), dot(dot(self.h, way), way)
-        value, step = self.free + dot(self.by_inputs, start), dot(self.by_inputs, way)
+        value, step = self.free + self.changes(start), self.changes(way)
 
         def derivative(share: Array) -> Array:
             at = value + share * step
@@ -261,7 +281,8 @@ def horizon(
     g = cost[:-1, -1] + jnp.concatenate([of_jets[:-1, -1].reshape(-1), of_joints[:-1, -1].reshape(-1)])
 
     distance, by_joint = distances(robot, mpc.clearance, structure.joints, now.state.joint_position)
-    limited = _limited(rates.after[:, 0], commands.after[:, 0], by_joint)
+    thrust, rest = (own[:, 0, :, -1] for own in (rates.after, commands.after))
+    free = jnp.concatenate([thrust, rest, dot(rest, by_joint.T)], axis=1).reshape(-1)
 
     def at_knots(thrusts: Array, joints: Array, distances: Array) -> Array:
         return jnp.tile(jnp.concatenate([thrusts, joints, distances]), len(structure.durations))
@@ -274,11 +295,10 @@ def horizon(
     return Horizon(
         h=0.5 * (h + h.T),
         g=g,
-        by_inputs=limited[:, :, :-1].reshape(-1, limited.shape[-1] - 1),
         by_rates=rates.after[:, 0, :, :-1],
         by_commands=commands.after[:, 0, :, :-1],
         by_joints=by_joint,
-        free=limited[:, :, -1].reshape(-1) + at_knots(*values),
+        free=free + at_knots(*values),
         least=at_knots(*least),
         greatest=at_knots(*greatest),
         weight=at_knots(*excess),
@@ -480,24 +500,6 @@ def _by_chains(places: _Places, rows: Array, jets: Array, joints: Array, wrenche
     of_air = jnp.einsum("kaw,kw->ka", rows[:, :, places.of["wrench"]], wrenches, precision="highest")
     free = of_jets + of_joints + of_air + rows[:, :, -1]
     return jnp.concatenate([by_jets, by_joints, free[:, :, None]], axis=2)
-
-
-def _limited(thrusts: Array, joints: Array, by_joint: Array) -> Array:
-    """Return limited values (K, m, u + 1) from what their own inputs do to thrusts and joints (K, g, i + 1)."""
-    knots = thrusts.shape[0]
-
-    def of_each(of: Array, own: Array) -> tuple[Array, Array]:
-        """Return values by inputs of all, and without any; a row says what of each is in a value."""
-        by = of[None, :, None] * jnp.swapaxes(own, 1, 2)[:, None]
-        return by[:, :, :-1].reshape(knots, of.shape[0], -1), by[:, :, -1].sum(-1)
-
-    each_jet, each_joint = (jnp.eye(own.shape[1], dtype=own.dtype) for own in (thrusts, joints))
-    by_rates, thrust = of_each(each_jet, thrusts)
-    by_commands, rest = of_each(jnp.concatenate([each_joint, by_joint]), joints)
-    others = jnp.zeros((knots, by_rates.shape[1], by_commands.shape[2]), thrusts.dtype)
-    jets = jnp.concatenate([by_rates, others, thrust[:, :, None]], axis=2)
-    others = jnp.zeros((knots, by_commands.shape[1], by_rates.shape[2]), thrusts.dtype)
-    return jnp.concatenate([jets, jnp.concatenate([others, by_commands, rest[:, :, None]], axis=2)], axis=1)
 
 
 def _error_weights(weights: MpcWeights) -> Array:

@@ -22,8 +22,8 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
+from jax_aero.body.batches import any_in_batch, compute_where, in_chunks, keep_answer
 from jax_aero.body.jets import Engines
-from jax_aero.body.linalg import any_in_batch
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import log_so3, rotate
 from jax_aero.control import qp
@@ -47,6 +47,9 @@ FACTORISATIONS_MAX = 300
 Each QP has the values beyond their limits that the last answer brought there. Where the factorisations do not suffice,
 the last plan is followed.
 """
+
+SEARCHED = 4
+"""Number of plans that are searched for together on a CPU, until the last of them is found."""
 
 PLAN_SHARE = 0.25
 """A plan is followed for at most this part of the horizon; by then the momentum QP decides."""
@@ -88,12 +91,21 @@ class PredictiveLaw:
             raise AssertionError("a controller with this law has a plan")
         waits = (now.time >= last.tried) & (now.time - last.tried <= self.mpc.period - 0.5 * self.time_step)
 
+        is_due, limits = ~waits, prepared.shaping.problem
+        targets = self._targets_where(is_due, memory, now, followed)
+
+        def problem() -> tuple[Horizon, tuple[Array, Array]]:
+            return self._problem(robot, memory, now, model, limits, targets)
+
+        # The horizon of the search is not that of the derivatives, which are of all samples or of none.
+        search = keep_answer(compute_where(is_due, lambda: _find_beyond(*problem(), last)))
+
         def make() -> Plan:
-            return self._make(robot, memory, now, model, prepared, last, followed)
+            return self._make(now, last, *problem(), search)
 
         # Reverse mode would store some megabytes of intermediate values for every tick.
         made = jax.checkpoint(make, prevent_cse=False)
-        plan: Plan = lax.cond(any_in_batch(~waits), lambda: where(waits, last, made()), lambda: last)
+        plan: Plan = lax.cond(any_in_batch(is_due), lambda: where(waits, last, made()), lambda: last)
         memory = memory._replace(plan=plan)
         age = now.time - plan.since
         is_current = (age >= 0.0) & (age <= PLAN_SHARE * sum(self.mpc.structure.durations))
@@ -102,28 +114,30 @@ class PredictiveLaw:
             after, rates = self.momentum.decide(memory, prepared)
             return after, rates._replace(modes=rates.modes | MODES["plan_missing"])
 
+        followed_plan = memory, self._follow(memory, now, prepared, plan, age)
         chosen: tuple[ControllerState, Rates] = lax.cond(
-            is_current, lambda: (memory, self._follow(memory, now, prepared, plan, age)), decide
+            any_in_batch(~is_current), lambda: where(is_current, followed_plan, decide()), lambda: followed_plan
         )
         return chosen
 
-    def _make(
+    def _problem(
         self,
         robot: RobotModel,
         memory: ControllerState,
         now: Measurement,
         model: Model,
-        prepared: Prepared,
-        last: Plan,
-        followed: Followed,
-    ) -> Plan:
-        """Make a plan; the last one remains where there is no certified answer."""
+        of_tick: BoxQp,
+        target: Target,
+    ) -> tuple[Horizon, tuple[Array, Array]]:
+        """Return the horizon from now, and the bounds of its inputs."""
         structure = self.mpc.structure
         linear = linearise(robot, self.aero, structure.air, structure.joints, now.state, now.thrust, now.wind)
-        target, wrenches = self._targets(memory, now, followed), self._wrenches(robot, now, model)
+        wrenches = self._wrenches(robot, now, model)
         ahead = horizon(self.mpc, self.engines, self.gains, robot, linear, now, model, memory.posture, target, wrenches)
-        bounds = self._bounds(prepared.shaping.problem, ahead)
-        search = _find_beyond(*jax.tree.map(lax.stop_gradient, (ahead, bounds, last)))
+        return ahead, self._bounds(of_tick, ahead)
+
+    def _make(self, now: Measurement, last: Plan, ahead: Horizon, bounds: tuple[Array, Array], search: _Search) -> Plan:
+        """Make a plan; the last one remains where there is no certified answer."""
         # Differentiated once, with the values beyond their limits that have been found.
         x = qp.minimiser(ahead.problem(search.beyond, *bounds), search.answer)
         is_unending = (search.answer.status == qp.SOLVED) & ~search.is_found
@@ -136,6 +150,20 @@ class PredictiveLaw:
             answer=answer,
             damping=last.damping if ahead.engines is None else ahead.engines.damping,
         )
+
+    def _targets_where(
+        self, is_due: Bool[Array, ""], memory: ControllerState, now: Measurement, followed: Followed
+    ) -> Target:
+        """Return the motion to follow if a plan is due in any sample of a batch, otherwise zeros."""
+
+        def targets() -> Target:
+            return self._targets(memory, now, followed)
+
+        def nothing() -> Target:
+            return jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), jax.eval_shape(targets))
+
+        found: Target = lax.cond(any_in_batch(is_due), jax.checkpoint(targets, prevent_cse=False), nothing)
+        return found
 
     def _targets(self, memory: ControllerState, now: Measurement, followed: Followed) -> Target:
         """Return the motion to follow at the ends of the knots."""
@@ -233,7 +261,7 @@ class PredictiveLaw:
         return Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], modes=modes)
 
 
-def _find_beyond(ahead: Horizon, bounds: tuple[Array, Array], last: Plan) -> _Search:
+def _search_one(ahead: Horizon, bounds: tuple[Array, Array], last: Plan) -> _Search:
     """Find the thrusts, joints and distances that the minimiser brings beyond their limits."""
 
     def is_running(search: _Search) -> Array:
@@ -256,3 +284,6 @@ def _find_beyond(ahead: Horizon, bounds: tuple[Array, Array], last: Plan) -> _Se
     start = _Search(jnp.zeros((), jnp.int32), last.inputs, beyond, begun, jnp.array(False))
     found: _Search = lax.while_loop(is_running, one, start)
     return found
+
+
+_find_beyond = in_chunks(_search_one, SEARCHED)
