@@ -18,6 +18,7 @@ from jax_aero.control.mpc.horizon import Horizon, Target, horizon
 from jax_aero.control.mpc.law import _find_beyond
 from jax_aero.control.mpc.model import linearise
 from jax_aero.control.preview import Preview
+from jax_aero.sim import prepare, step
 from jax_aero.types import Setpoint, State
 from jax_aero.verify.flight import states_of
 
@@ -217,17 +218,15 @@ def strict(seed: int) -> Horizon:
     free = rng.normal(size=n)
     least = free - rng.uniform(-1.0, 1.0, n)
     greatest, weight = least + rng.uniform(0.2, 1.0, n), 10.0 ** rng.uniform(0.0, 4.0, n)
-    h, by_inputs = np.eye(n + 1), np.zeros((knots, jets + 1, n + 1))
+    h = np.eye(n + 1)
     h[:n, :n] = 0.05 * (factor @ factor.T + np.eye(n))
-    for jet in range(jets):
-        by_inputs[:, jet, jet:n:jets] = own[:, jet]
 
     def with_joint(values, of_joint):
         return np.append(values.reshape(knots, jets), np.full((knots, 1), of_joint), axis=1).ravel()
 
     limits = (with_joint(part, of) for part, of in ((free, 0.0), (least, -np.inf), (greatest, np.inf), (weight, 1.0)))
     none = np.zeros((knots, 1, 1)), np.zeros((0, 1))
-    parts = h, np.append(g, 0.0), by_inputs.reshape(-1, n + 1), own, *none, *limits
+    parts = h, np.append(g, 0.0), own, *none, *limits
     return Horizon(*map(jnp.asarray, parts), None)
 
 
@@ -243,11 +242,32 @@ def test_a_plan_is_the_least_of_its_cost_by_its_search_on_the_way(x64, monkeypat
     find = jax.jit(search)
     for ahead in cases:
         is_found, x = jax.device_get(find(ahead))
-        at = ahead.free + ahead.by_inputs @ x
+        at = ahead.free + ahead.changes(x)
         excess = ahead.weight * (at - jnp.clip(at, ahead.least, ahead.greatest))
         assert is_found
         # Rounding of numbers below ten times weights.
-        assert np.abs(ahead.h @ x + ahead.g + ahead.by_inputs.T @ excess).max() < 1e-13 * ahead.weight.max()
+        assert np.abs(ahead.h @ x + ahead.g + ahead.slope(excess)).max() < 1e-13 * ahead.weight.max()
     monkeypatch.setattr(Horizon, "least_on_way", lambda *_: jnp.ones(()))
     find = jax.jit(lambda ahead: search(ahead)[0])
     assert not any(find(ahead) for ahead in cases)
+
+
+def test_flights_of_a_batch_that_began_at_other_ticks_fly_as_each_alone(x64):
+    """In each tick of the batch a plan is due in one flight or none."""
+    scenario, start = prepare(rust.load_config("robot"))
+    alone, batch = jax.jit(step), jax.jit(jax.vmap(step, in_axes=(None, 0, 0)))
+    states, rows = [start], []
+    for tick in range(11):
+        state, row = alone(scenario, states[-1], jnp.asarray(tick, jnp.int32))
+        states.append(state)
+        rows.append(row)
+    ticks = np.arange(4)
+    together = jax.tree.map(lambda *parts: jnp.stack(parts), *(states[tick] for tick in ticks))
+    for later in range(7):
+        together, row = batch(scenario, together, jnp.asarray(ticks + later, jnp.int32))
+        for member, tick in enumerate(ticks):
+            expected = rows[tick + later]
+            assert row["degraded_modes"][member] == expected["degraded_modes"]
+            for name in ("thrust_rate", "joint_velocity_command", "joint_torque"):
+                # Rounding of sums in another order, enlarged by the solutions of two QPs.
+                np.testing.assert_allclose(row[name][member], expected[name], rtol=1e-8, atol=1e-8, err_msg=name)
