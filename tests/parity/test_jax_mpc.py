@@ -257,16 +257,16 @@ def test_flights_of_a_batch_that_began_at_other_ticks_fly_as_each_alone(x64):
     scenario, start = prepare(rust.load_config("robot"))
     alone, batch = jax.jit(step), jax.jit(jax.vmap(step, in_axes=(None, 0, 0)))
     states, rows = [start], []
-    for tick in range(11):
-        state, row = alone(scenario, states[-1], jnp.asarray(tick, jnp.int32))
+    for number in range(11):
+        state, row = alone(scenario, states[-1], jnp.asarray(number, jnp.int32))
         states.append(state)
         rows.append(row)
     ticks = np.arange(4)
-    together = jax.tree.map(lambda *parts: jnp.stack(parts), *(states[tick] for tick in ticks))
+    together = jax.tree.map(lambda *parts: jnp.stack(parts), *(states[first] for first in ticks))
     for later in range(7):
         together, row = batch(scenario, together, jnp.asarray(ticks + later, jnp.int32))
-        for member, tick in enumerate(ticks):
-            expected = rows[tick + later]
+        for member, first in enumerate(ticks):
+            expected = rows[first + later]
             assert row["degraded_modes"][member] == expected["degraded_modes"]
             for name in ("thrust_rate", "joint_velocity_command", "joint_torque"):
                 # Rounding of sums in another order, enlarged by the solutions of two QPs.
