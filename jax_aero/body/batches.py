@@ -31,7 +31,8 @@ T = TypeVar("T")
 
 def keep_answer(answer: T) -> T:
     """Mark an answer that was searched for: reverse mode stores it where it computes the rest of a tick again."""
-    kept: T = jax.tree.map(lambda part: checkpoint_name(part, ANSWER), answer)
+    mark: Callable[..., Any] = checkpoint_name
+    kept: T = jax.tree.map(lambda part: mark(part, ANSWER), answer)
     return kept
 
 

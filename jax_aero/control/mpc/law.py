@@ -160,7 +160,8 @@ class PredictiveLaw:
             return self._targets(memory, now, followed)
 
         def nothing() -> Target:
-            return jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), jax.eval_shape(targets))
+            zeros: Target = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), jax.eval_shape(targets))
+            return zeros
 
         found: Target = lax.cond(any_in_batch(is_due), jax.checkpoint(targets, prevent_cse=False), nothing)
         return found
