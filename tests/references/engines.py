@@ -53,7 +53,7 @@ class Engines:
         self.thrust_min, self.thrust_max = np.array(robot.thrust_min), np.array(robot.thrust_max)
         n, arrays = len(self.thrust_max), robot.arrays()
         self.engines = np.array([arrays["engines"][name] for name in arrays["jets"]["engines"]]).T
-        self.state, self.believed = np.zeros(n, int), np.ones(n, bool)
+        self.state, self.sensor_used = np.zeros(n, int), np.ones(n, bool)
         self.reach = np.array([[0.0, np.inf]] * n)
         self.since, self.taken, self.evidence = np.zeros(n), np.zeros(n), ["nothing"] * n
         self.before_stop: dict[int, Any] = {}
@@ -146,7 +146,7 @@ class Engines:
         self.late[jet], self.sums[:, jet], self.lasting[jet] = 0.0, 0.0, 0.0
 
     def _judge_unseen(self, found: Any, thrust: Any, works: Any, sampling: str, dt: float) -> None:
-        """Believe a sensor that shows alone, without momentum, that most of a thrust is missing (M181)."""
+        """Take a sensor as right that shows alone, without momentum, that most of a thrust is missing (M181)."""
         lacks = -self.outside > np.maximum(2.0 * self.most, OF_THRUST * (thrust - self.outside))
         self.lasting[:, 1] = np.where(lacks, self.lasting[:, 1] + dt, 0.0)
         says = np.flatnonzero(lacks & works)
@@ -190,7 +190,7 @@ class Engines:
         missing, explained = -along / sizes, along**2 / sizes
         is_alike = explained > LEAST_COSINE * product(change, change)
         shows = is_alike & (missing > np.maximum(self.least, OF_MISSING * thrust))
-        are_unused = ~self.believed & (self.since + covered > FORGOTTEN)
+        are_unused = ~self.sensor_used & (self.since + covered > FORGOTTEN)
         can = (are_silent | are_unused) & (thrust > self.least) & (self.state <= LIMITED)
         of_jet = int(np.argmax(np.where(shows & can, explained, -1.0))) if (shows & can).any() else None
         is_held = of_jet is not None
@@ -223,9 +223,9 @@ class Engines:
         change = np.zeros(len(found))
         for jet, (name, value) in enumerate(found):
             state, low, high, used = self.state[jet], *self.reach[jet], thrust[jet]
-            before = state, low, high, self.believed[jet]
+            before = state, low, high, self.sensor_used[jet]
             if state <= LIMITED and name == "wrong_sensor":
-                self.believed[jet], change[jet] = False, -value
+                self.sensor_used[jet], change[jet] = False, -value
             elif state <= LIMITED and name == "out_of_reach":
                 is_less = self.late[jet, 1] < 0.0
                 self.state[jet] = LIMITED
@@ -235,19 +235,19 @@ class Engines:
                 self.state[jet], self.reach[jet] = UNCONFIRMED, (min(low, used), used)
             elif state <= LIMITED and name == "missing":
                 self._remember(jet, before, used)
-                self.state[jet], self.reach[jet], self.believed[jet], change[jet] = STOPPED, (0.0, 0.0), False, -used
+                self.state[jet], self.reach[jet], self.sensor_used[jet], change[jet] = STOPPED, (0.0, 0.0), False, -used
             elif state == UNCONFIRMED and name == "given":
                 self._restore(jet)
-                self.believed[jet], change[jet] = False, self.taken[jet]
+                self.sensor_used[jet], change[jet] = False, self.taken[jet]
             elif state == UNCONFIRMED and name == "kept":
                 self.state[jet] = LIMITED
             elif state == STOPPED and name in {"given", "agreed"}:
                 self._restore(jet)
-                self.believed[jet] = self.before_stop[jet][3]
+                self.sensor_used[jet] = self.before_stop[jet][3]
                 change[jet] = (self.taken[jet] if name == "given" else value) - used
             else:
                 name = "nothing"
-            is_same = before == (self.state[jet], *self.reach[jet], self.believed[jet])
+            is_same = before == (self.state[jet], *self.reach[jet], self.sensor_used[jet])
             self.since[jet] = self.since[jet] + covered if is_same else 0.0
             if name != "nothing":
                 self.evidence[jet] = name
@@ -278,7 +278,7 @@ EVIDENCE = {
     "unmeasured": "silence",
     "state": "state",
     "reaches": "reach",
-    "is_believed": "believed",
+    "is_sensor_used": "sensor_used",
     "since": "since",
     "taken": "taken",
 }

@@ -159,7 +159,7 @@ def test_nothing_remains_of_a_stop_that_is_given_back():
     assert stopped == [*range(stopped[0], stopped[-1] + 1)]
     after = states[stopped[-1] + 1]
     assert (after["state"] == WORKS).all()
-    assert after["is_believed"].all()
+    assert after["is_sensor_used"].all()
     assert np.array_equal(after["reaches"], states[0]["reaches"])
     assert not {"engine_stopped", "engine_limited"} & after["modes"]
     assert not any("descending" in now["modes"] for now in states[stopped[-1] + 2 :])

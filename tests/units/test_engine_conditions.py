@@ -48,7 +48,7 @@ def test_a_stop_in_a_gap_is_found_by_its_sensor_and_kept_by_the_momentum(duratio
     assert 0.095 < time - START - duration < 0.15
     engines = found[-1]
     assert engines["reaches"][0, 1] < 10.0
-    assert engines["is_believed"].all()
+    assert engines["is_sensor_used"].all()
     assert engines["residual"].shape == engines["before"].shape == (6,)
 
 
@@ -58,7 +58,7 @@ def test_a_sensor_that_fails_to_zero_in_a_gap_is_revoked_and_the_mission_goes_on
     (_, unconfirmed, _), (time, works, evidence) = changes_of(found, 3)
     assert (unconfirmed, works, evidence) == (UNCONFIRMED, WORKS, "given")
     assert time - START - 0.3 < 0.05
-    assert list(found[-1]["is_believed"]) == [1.0, 1.0, 1.0, 0.0]
+    assert list(found[-1]["is_sensor_used"]) == [1.0, 1.0, 1.0, 0.0]
     descends = np.flatnonzero(result["degraded_modes"].astype(int) & rust.MODES["descending"])
     assert descends[-1] <= round(100 * time)
     assert len(descends) == descends[-1] - descends[0] + 1

@@ -333,7 +333,7 @@ fn the_limits_of_a_descent_are_those_of_revolute_joints() {
     }
 }
 
-/// Without momentum only a sensor that lacks three quarters of the thrust, and more than twice the limit of 15 N, is believed,
+/// Without momentum only a sensor that lacks three quarters of the thrust, and more than twice the limit of 15 N, counts,
 /// after 0.05 s; what 40 N more or less say of an engine says nothing.
 #[test]
 fn without_momentum_only_a_stop_is_found() {
@@ -353,8 +353,8 @@ fn without_momentum_only_a_stop_is_found() {
         });
         assert_eq!(first, found, "{thrust} of {before} N");
         if found.is_some() {
-            let EngineCondition { state, reaches, is_believed, .. } = engine.conditions[0];
-            assert_eq!((state, reaches, is_believed), (EngineState::Unconfirmed, (0.0, thrust), true));
+            let EngineCondition { state, reaches, is_sensor_used, .. } = engine.conditions[0];
+            assert_eq!((state, reaches, is_sensor_used), (EngineState::Unconfirmed, (0.0, thrust), true));
         }
     }
 }
@@ -397,10 +397,10 @@ fn momentum_revokes_a_stop_that_was_found_without_it_or_keeps_it() {
             engine.tick(&[held(0.0, 0.0)], Some(&[error]));
             engine.conditions[0].state != EngineState::Unconfirmed
         });
-        let EngineCondition { state: found, reaches, is_believed, .. } = engine.conditions[0];
+        let EngineCondition { state: found, reaches, is_sensor_used, .. } = engine.conditions[0];
         assert_eq!((changed, found), (Some(ticks), state), "{shown} %");
         let is_revoked = state == EngineState::Works;
-        assert_eq!((reaches == EVERYTHING, is_believed), (is_revoked, !is_revoked));
+        assert_eq!((reaches == EVERYTHING, is_sensor_used), (is_revoked, !is_revoked));
     }
 }
 
@@ -421,7 +421,7 @@ fn the_table_of_transitions() {
     {
         for finding in findings {
             let mut engine =
-                EngineCondition { state, reaches, is_believed: state != Stopped, ..Default::default() };
+                EngineCondition { state, reaches, is_sensor_used: state != Stopped, ..Default::default() };
             (engine.taken.thrust, engine.taken.reaches, engine.since) = (95.0, narrowed, 3.0);
             let before = engine;
             let error = engine.advance(finding, 100.0, STEP);
@@ -436,11 +436,11 @@ fn the_table_of_transitions() {
                 (Stopped, Found::Given) => (Limited, narrowed, true, Some(5.0)),
                 (Stopped, Found::Agreed { .. }) => (Limited, narrowed, true, Some(40.0)),
                 (Stopped, _) => (Stopped, (0.0, 0.0), false, Some(100.0)),
-                _ => (before.state, before.reaches, before.is_believed, None),
+                _ => (before.state, before.reaches, before.is_sensor_used, None),
             };
-            let found = (engine.state, engine.reaches, engine.is_believed, error);
+            let found = (engine.state, engine.reaches, engine.is_sensor_used, error);
             assert_eq!(found, expected, "{state:?}, {finding:?}");
-            let is_changed = found.0 != state || found.1 != reaches || found.2 != before.is_believed;
+            let is_changed = found.0 != state || found.1 != reaches || found.2 != before.is_sensor_used;
             let since = if is_changed { (finding, 0.0) } else { (before.evidence, before.since + STEP) };
             assert_eq!((engine.evidence, engine.since), since, "{state:?}, {finding:?}");
         }

@@ -171,11 +171,12 @@ fn a_frozen_thrust_is_not_a_measured_one() {
 /// An engine whose sensor was found to be wrong is a suspect like one without a sensor, whatever it says, after more than 0.1 s.
 #[test]
 fn a_sensor_that_is_not_used_is_none() {
-    for (is_believed, since, found) in [(true, 1.0, None), (false, 1.0, Some(3)), (false, 0.045, Some(8))] {
+    for (is_sensor_used, since, found) in [(true, 1.0, None), (false, 1.0, Some(3)), (false, 0.045, Some(8))]
+    {
         let mut robot = Robot::new();
         robot.missing = [false; 3];
         assert_eq!(robot.first(5, CALM), None);
-        (robot.conditions[0].is_believed, robot.conditions[0].since) = (is_believed, since);
+        (robot.conditions[0].is_sensor_used, robot.conditions[0].since) = (is_sensor_used, since);
         let lost = robot.without(0, THRUST);
         assert_eq!(robot.first(9, lost), found);
     }
@@ -196,7 +197,7 @@ fn a_confirmation_is_a_time_of_measured_momentum() {
     }
 }
 
-/// A sensor that speaks again, and says what the momentum shows, is believed after 0.5 s, and the engine works; one that says
+/// A sensor that measures again, and agrees with the momentum, is used after 0.5 s, and the engine works; one that says
 /// nothing, or what the momentum does not show, is not.
 #[test]
 fn a_stopped_engine_works_if_sensor_and_momentum_agree() {
@@ -221,7 +222,7 @@ fn a_stopped_engine_works_if_sensor_and_momentum_agree() {
         });
         assert_eq!(first, agreed, "{reading} N said, {shown} N shown");
         if agreed.is_some() {
-            assert!(robot.conditions[0].works() && robot.conditions[0].is_believed);
+            assert!(robot.conditions[0].works() && robot.conditions[0].is_sensor_used);
             assert!((robot.thrust[0] - reading).abs() < 0.1);
         }
     }

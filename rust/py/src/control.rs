@@ -82,7 +82,7 @@ impl ControllerState {
 
     /// Conditions of the engines after the last tick, and the evidence for them, by name, of every jet.
     ///
-    /// `state` (0 works, 1 limited, 2 unconfirmed, 3 stopped), `reaches` (jets, 2) [N], `is_believed`, `since` [s], `taken` [N],
+    /// `state` (0 works, 1 limited, 2 unconfirmed, 3 stopped), `reaches` (jets, 2) [N], `is_sensor_used`, `since` [s], `taken` [N],
     /// `evidence`, the name of the finding, and `reading` of its sensor [N]. With a disturbance observer `observed` (6) and
     /// `residual` (6) [N, N m], and `covered` [s], NaN where no momentum was measured. With `fault_detection.engines`
     /// `deviation`, `lag`, `outside` and `late` (jets, 2), d, l, d′ and d̄ of force and moment [N], and `monitored` (jets, 4), for
@@ -97,7 +97,10 @@ impl ControllerState {
         out.set_item("state", vector(py, &of(|engine| f64::from(engine.state.code())))?)?;
         let reaches = engines.iter().flat_map(|engine| <[f64; 2]>::from(engine.reaches)).collect();
         out.set_item("reaches", rows(2, reaches)?)?;
-        out.set_item("is_believed", vector(py, &of(|engine| f64::from(u8::from(engine.is_believed))))?)?;
+        out.set_item(
+            "is_sensor_used",
+            vector(py, &of(|engine| f64::from(u8::from(engine.is_sensor_used))))?,
+        )?;
         out.set_item("since", vector(py, &of(|engine| engine.since))?)?;
         out.set_item("taken", vector(py, &of(|engine| engine.taken.thrust))?)?;
         out.set_item("evidence", engines.iter().map(|engine| engine.evidence.name()).collect::<Vec<_>>())?;

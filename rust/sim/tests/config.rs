@@ -293,7 +293,11 @@ fn missing_and_ill_typed_keys_are_named() {
         ),
         ("simulator.jets.dynamics", json!("magic"), "is \"magic\"; expected one of ideal, throttled"),
         ("controller.qp.solver", json!("magic"), "is \"magic\"; expected one of active_set, clarabel"),
-        ("controller.aero.model", json!("magic"), "is \"magic\"; expected one of off, axisymmetric"),
+        (
+            "controller.aero.model",
+            json!("magic"),
+            "is \"magic\"; expected one of off, axisymmetric, sphere_cylinder, network",
+        ),
         (
             "wind.profile",
             json!("magic"),

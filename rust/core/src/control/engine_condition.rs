@@ -134,7 +134,7 @@ pub struct Taken {
     /// What the engine reached before \[N\].
     pub reaches: (f64, f64),
     /// Whether its sensor was used before.
-    pub is_believed: bool,
+    pub is_sensor_used: bool,
 }
 
 /// What is known of one engine.
@@ -145,7 +145,7 @@ pub struct EngineCondition {
     /// Least and greatest thrust that it has been found to reach \[N\].
     pub reaches: (f64, f64),
     /// Whether its thrust sensor is used.
-    pub is_believed: bool,
+    pub is_sensor_used: bool,
     /// The finding that changed this last.
     pub evidence: EngineFinding,
     /// Time with measured momentum since then \[s\].
@@ -159,10 +159,10 @@ impl Default for EngineCondition {
         Self {
             state: EngineState::Works,
             reaches: EVERYTHING,
-            is_believed: true,
+            is_sensor_used: true,
             evidence: EngineFinding::Nothing,
             since: 0.0,
-            taken: Taken { thrust: 0.0, reaches: EVERYTHING, is_believed: true },
+            taken: Taken { thrust: 0.0, reaches: EVERYTHING, is_sensor_used: true },
         }
     }
 }
@@ -193,10 +193,10 @@ impl EngineCondition {
         use EngineState as State;
         self.since += measured;
         let (is_running, before) = (matches!(self.state, State::Works | State::Limited), *self);
-        let taken = |thrust| Taken { thrust, reaches: before.reaches, is_believed: before.is_believed };
+        let taken = |thrust| Taken { thrust, reaches: before.reaches, is_sensor_used: before.is_sensor_used };
         let error = match (self.state, finding) {
             (_, Found::WrongSensor { error }) if is_running => {
-                self.is_believed = false;
+                self.is_sensor_used = false;
                 Some(error)
             }
             (_, Found::OutOfReach { thrust, is_short }) if is_running => {
@@ -213,7 +213,7 @@ impl EngineCondition {
             }
             (_, Found::Missing) if is_running => {
                 self.taken = taken(thrust);
-                (self.state, self.reaches, self.is_believed) = (State::Stopped, (0.0, 0.0), false);
+                (self.state, self.reaches, self.is_sensor_used) = (State::Stopped, (0.0, 0.0), false);
                 Some(thrust)
             }
             (State::Unconfirmed, Found::Kept) => {
@@ -225,18 +225,18 @@ impl EngineCondition {
                 Some(-self.taken.thrust)
             }
             (State::Stopped, Found::Given) => {
-                self.give_back(self.taken.is_believed);
+                self.give_back(self.taken.is_sensor_used);
                 Some(thrust - self.taken.thrust)
             }
             (State::Stopped, Found::Agreed { thrust: measured }) => {
-                self.give_back(self.taken.is_believed);
+                self.give_back(self.taken.is_sensor_used);
                 Some(thrust - measured)
             }
             (State::Stopped, _) => Some(thrust),
             _ => None,
         };
-        let is_changed = (before.state, before.reaches, before.is_believed)
-            != (self.state, self.reaches, self.is_believed);
+        let is_changed = (before.state, before.reaches, before.is_sensor_used)
+            != (self.state, self.reaches, self.is_sensor_used);
         if is_changed {
             (self.evidence, self.since) = (finding, 0.0);
         }
@@ -244,9 +244,9 @@ impl EngineCondition {
     }
 
     /// Revokes a stop.
-    fn give_back(&mut self, is_believed: bool) {
+    fn give_back(&mut self, is_sensor_used: bool) {
         self.reaches = self.taken.reaches;
-        self.is_believed = is_believed;
+        self.is_sensor_used = is_sensor_used;
         self.state = if self.reaches == EVERYTHING { EngineState::Works } else { EngineState::Limited };
     }
 }

@@ -12,7 +12,7 @@
 //! engines add nothing; several that deviate at once are one or the other together. What follows from a finding says the
 //! table of [`EngineCondition`]. Equations M105, M106, M144, M176 and M181 of `docs/model`.
 //!
-//! While no momentum is measured, a sensor that says that most of the thrust is missing is believed, if it is the only one:
+//! While no momentum is measured, a sensor that shows that most of the thrust is missing counts, if it is the only one:
 //! an engine that stops turns the robot over in less time than a gap may last. The momentum revokes that, or confirms it,
 //! when it is measured again.
 //!

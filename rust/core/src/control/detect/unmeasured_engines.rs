@@ -7,12 +7,13 @@
 //! e_i = ⟨w − w̄, a_i⟩² / (⟨a_i, a_i⟩ ⟨w − w̄, w − w̄⟩)    share of the change that this explains
 //! ```
 //!
-//! A thrust that is missing, or has the same bits, for two hundredths of a second says nothing about its engine, nor does
-//! one whose sensor was found to be wrong some time ago: the jet is a suspect. Ideal sensors and rounded thrusts repeat bits too, so the momentum decides. If the suspect that explains most
-//! lacks much of its thrust for a confirmation time, its engine has stopped, and the observed wrench is the one of before. If
-//! the momentum soon shows the thrust that was taken away, or a sensor that speaks again and the momentum agree for long
-//! enough, the engine works. Times are those that measured momenta cover. What follows from a finding says the table of
-//! [`EngineCondition`]. Equation M177 of `docs/model`.
+//! A jet is a suspect if its thrust has been missing, or has had the same bits, for two hundredths of a second, or if its
+//! sensor was found to be wrong some time ago: then nothing but the momentum shows its engine. Ideal sensors and rounded
+//! thrusts repeat bits too, so the momentum decides. If the suspect that explains most lacks much of its thrust for a
+//! confirmation time, its engine has stopped, and the observed wrench is the one of before. If the momentum soon shows the
+//! thrust that was taken away, or a sensor that measures again and the momentum agree for long enough, the engine works.
+//! Times are those that measured momenta cover. What follows from a finding says the table of [`EngineCondition`].
+//! Equation M177 of `docs/model`.
 
 use super::detector::{Detector, Evidence, Findings, Setup};
 use super::engines::{EXPLAINED, GIVEN, explains, product};
@@ -53,7 +54,7 @@ const CONFIRMATION: f64 = 0.02;
 /// Time after a finding in which the momentum can revoke it \[s\].
 const REVOCATION: f64 = 0.5;
 
-/// Time for which a sensor that speaks again and the momentum have to agree \[s\].
+/// Time for which a sensor that measures again and the momentum have to agree \[s\].
 const AGREEMENT: f64 = 0.5;
 
 /// When an engine without a measured thrust counts as stopped.
@@ -236,7 +237,7 @@ impl UnmeasuredEngines {
         let mut found = (None, EXPLAINED);
         for (index, (jet, engine)) in jets.iter().zip(engines).enumerate().take(a_t.ncols()) {
             let ((lacked, explained), used) = (lack(index), thrust[index]);
-            let is_unused = !engine.is_believed && engine.since + covered > FORGOTTEN;
+            let is_unused = !engine.is_sensor_used && engine.since + covered > FORGOTTEN;
             let is_unknown = jet.silent.has_lasted(REPEATED, elapsed) || is_unused;
             let is_suspect = !engine.has_stopped() && is_unknown && used > least;
             if is_suspect && lacked > least.max(LACKED * used) && explained > found.1 {

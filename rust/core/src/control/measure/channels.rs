@@ -512,8 +512,8 @@ impl Channels {
     }
 
     /// Uses the measured thrust of a jet from the next tick on, or rejects it.
-    pub fn use_sensor(state: &mut ChannelsState, jet: usize, is_believed: bool) {
-        state.records[1 + jet].is_distrusted = !is_believed;
+    pub fn use_sensor(state: &mut ChannelsState, jet: usize, is_sensor_used: bool) {
+        state.records[1 + jet].is_distrusted = !is_sensor_used;
     }
 
     /// Corrects the predicted thrust of a jet, which is too large by `error` \[N\].

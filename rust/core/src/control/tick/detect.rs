@@ -44,7 +44,7 @@ impl Controller {
         let found = engines.iter_mut().zip(&findings.engines);
         for (jet, ((engine, finding), thrust)) in found.zip(&estimate.robot.thrust).enumerate() {
             let error = engine.advance(*finding, *thrust, covered);
-            Channels::use_sensor(channels, jet, engine.is_believed);
+            Channels::use_sensor(channels, jet, engine.is_sensor_used);
             let Some(error) = error else { continue };
             Channels::correct_thrust(channels, jet, error);
             if let Some(memory) = estimator {
