@@ -300,7 +300,7 @@ def follow(
             dt = measured.time - time
             expected = np.maximum(used + dt * last.thrust_rate, robot.thrust_min)
             reading = np.asarray(evidence["reading"])
-            is_measured = judge.believed & np.isfinite(reading)
+            is_measured = judge.sensor_used & np.isfinite(reading)
             used = np.where(is_measured, reading, expected)
             modes = {*tick.degraded_modes}
             gap = (np.inf if is_wrong(measured, modes) else gap + dt) if WITHOUT & modes else 0.0
