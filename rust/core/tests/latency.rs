@@ -183,6 +183,17 @@ fn torques_within_a_tick_are_given_after_it() {
     }
 }
 
+/// While torques are late an estimator uses what was measured, in time again what is known; nothing measured says nothing.
+#[test]
+fn a_measured_latency_is_used_while_torques_are_late() {
+    let mut config = EstimatorConfig::default();
+    config.latency.torque = 0.02;
+    let monitor = LatencyMonitor::new(CONFIG, Some(&config), 1, 2, 2, STEP);
+    assert_eq!(monitor.to_use(Some(0.03), true), Some(0.03));
+    assert_eq!(monitor.to_use(Some(0.021), false), Some(0.02));
+    assert_eq!(monitor.to_use(None, false), None);
+}
+
 #[test]
 fn late_commands_are_reported_after_their_confirmation() {
     for (late, expected) in [([0, 4], false), ([1, 0], true), ([0, 5], true)] {

@@ -73,7 +73,8 @@ pub struct Findings {
     pub unmodelled: Option<Vector6<f64>>,
     /// Measured latency of torques and thrust rates, as far as it is known \[s\].
     pub latency: [Option<f64>; 2],
-    /// Latency of the torques that the estimator is to use in place of the known one \[s\].
+    /// Latency of the torques that the estimator is to use from now on: the measured one while it is late, else the known
+    /// one; `None` while it is not measured \[s\].
     pub torque_latency: Option<f64>,
 }
 

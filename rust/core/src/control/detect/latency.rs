@@ -308,7 +308,7 @@ impl Detector for LatencyMonitor {
         if late.contains(&true) {
             findings.modes.insert(Modes::LATE);
         }
-        findings.torque_latency = findings.latency[0].filter(|_| late[0]);
+        findings.torque_latency = self.to_use(findings.latency[0], late[0]);
     }
 }
 
@@ -430,6 +430,13 @@ impl LatencyMonitor {
     #[must_use]
     pub fn measured(&self, state: &LatencyState) -> [Option<f64>; 2] {
         std::array::from_fn(|of| self.banks[of].delay(&state.banks[of]).map(|delay| delay - self.ages[of]))
+    }
+
+    /// The latency of the torques that an estimator is to use from now on \[s\]: the measured one while they are late, else
+    /// the known one; `None` while it is not measured.
+    #[must_use]
+    pub fn to_use(&self, measured: Option<f64>, are_late: bool) -> Option<f64> {
+        measured.map(|measured| if are_late { measured } else { self.known[0] })
     }
 
     /// Whether torques and thrust rates are late, or earlier than is known, `elapsed` \[s\] after the last tick.

@@ -453,7 +453,7 @@ impl EstimatorState {
         self.ticks = 0;
     }
 
-    /// Uses a latency of the torques other than the configured one \[s\], from the next tick on. Not more than
+    /// Uses this latency of the torques \[s\] in place of the configured one, from the next tick on. Not more than
     /// [`LATENCY_UNKNOWN`] beyond that is used.
     pub fn use_torque_latency(&mut self, latency: f64) {
         self.torque_latency = Some(latency);
