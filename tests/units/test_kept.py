@@ -250,7 +250,15 @@ SWEPT = [name for name in kept.names() if any(kept.read(name).firsts)]
 ELSEWHERE = [name for name in kept.names() if kept.read(name).firsts and not any(kept.read(name).firsts)]
 FLOWN = 3
 """Flights of a cell whose share is compared."""
-TO_FLY = {"convergence_robot", "robot_gap_loss", "robot_take_off"}
+TO_FLY = {
+    "convergence_robot",
+    "fault_pairs",
+    "robot_gap_loss",
+    "robot_margins",
+    "robot_take_off",
+    "wind_humanoid_1",
+    "wind_humanoid_1_mk3",
+}
 """Stored sweeps of an earlier configuration, or whose flights have other bits by now, to be flown anew."""
 
 
