@@ -88,9 +88,11 @@ def config_hash(
 ) -> str:
     """Return a short hash of a configuration, with files instead of their paths; equal on every machine.
 
-    It accepts any configuration, whereas `rust.config_digest` refuses invalid ones, which also have a row. `paths` are
+    Title and description of the flight that a cell is based on are in no result of a sweep, and do not count. It
+    accepts any configuration, whereas `rust.config_digest` refuses invalid ones, which also have a row. `paths` are
     its `rust.path_keys`, if they are known.
     """
     for key in rust.path_keys(config) if paths is None else paths:
         config = replaced(config, key, hash_of(Path(get(config, key))))
-    return hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
+    flown = {key: value for key, value in config.items() if key not in ("title", "description")}
+    return hashlib.sha256(json.dumps(flown, sort_keys=True).encode()).hexdigest()[:16]

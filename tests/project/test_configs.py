@@ -52,6 +52,25 @@ def test_the_flight_lab_calls_a_controller_by_its_name_in_the_list(key, file):
     assert f'{key}: ["{CONTROLLERS[file].label}", ' in page
 
 
+def controller_of(path):
+    """The name of the file of a flight's controller."""
+    flight = tomllib.loads(path.read_text(encoding="utf-8"))
+    if "controller" not in flight:
+        return controller_of(path.parent / flight["base"])
+    return Path(flight["controller"]["base"]).stem
+
+
+def test_a_title_names_the_controller_of_its_flight_by_the_list():
+    files = {one.label: file for file, one in CONTROLLERS.items()}
+    named = {}
+    for path in EXPERIMENTS:
+        said = rust.load_config(path)["title"].partition(": ")[2].partition(", network")[0]
+        if said in files:
+            named[path.stem] = files[said], controller_of(path).removesuffix("_published")
+    assert {flight for flight, (said, flown) in named.items() if said != flown} == set()
+    assert {"test1", "test2", "test4", "test1_observer_gale", "robot_gale", "test2_sensors"} <= named.keys()
+
+
 def test_test1_and_test2_differ_in_the_controller_alone():
     first, second = (rust.load_config(f"test{n}") for n in (1, 2))
     different = {key for key in first if first[key] != second[key]}

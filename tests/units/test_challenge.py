@@ -71,7 +71,7 @@ def digest(tasks):
     return hashlib.sha256(" ".join(hashes).encode()).hexdigest()[:16]
 
 
-OF_CONTROLLER = {"controller", "own_controller", "title", "description"}
+OF_CONTROLLER = {"controller", "own_controller"}
 
 
 @pytest.mark.parametrize(("robot", "frozen"), [("mk1", "dfad751afb6783da"), ("mk3", "a6193870d00c1f83")])

@@ -498,6 +498,13 @@ def test_the_digest_follows_perturbations_and_weights(tmp_path):
     assert len(set(digests)) == len(digests)
 
 
+def test_titles_of_flights_change_no_sweep():
+    config = rust.load_config("test2")
+    renamed = config | {"title": "another", "description": "of another"}
+    assert table.config_hash(renamed) == table.config_hash(config)
+    assert table.config_hash(renamed | {"backend": "jax"}) != table.config_hash(config)
+
+
 def test_files_of_one_name_that_change_places_make_another_sweep_of_other_rows(tmp_path):
     level = []
     for folder in ("a", "b"):
