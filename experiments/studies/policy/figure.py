@@ -23,7 +23,8 @@ def draw(*studies: xr.Dataset) -> Figure:
         course.lines[-1].set_label(f"{label}, {seeds} seed{'s' * (seeds > 1)}")
     course.set_xlabel("processor time [min]")
     course.set_xlim(left=0.0)
-    course.legend(loc="lower left")
+    if len(studies) > 1:
+        style.legend_above(course, columns=len(studies))
     final.set_xlabel("wind [m/s], after training")
     for axes in (course, final):
         axes.set_ylabel("mean reward of an unseen episode")
