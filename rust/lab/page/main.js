@@ -342,7 +342,7 @@ class Page extends Player {
   #build() {
     $("tour").append(...TOUR.map(({ name }, index) => make("button", { type: "button", onclick: () => this.visit(index) }, `${index + 1} ${name}`)));
     $("pad").innerHTML = `<circle class="ring" r="23.3"/><circle class="ring" r="46.7"/><circle class="ring" r="70"/>
-      <text y="-72">ahead</text><text x="-60" y="-14">left</text><text y="34">10</text><text y="57">20</text>
+      <text y="-54">ahead</text><text x="-58" y="-4">left</text><text y="34">10</text><text y="57">20</text>
       <path class="robot" d="M0-9L6 6H-6z"/><line class="blows" x2="0" y2="0"/><circle class="handle" r="8"/>`;
     document.title = $("title").textContent = this.isLab ? "Flight lab" : this.solid.title;
     $("tour").hidden = !this.isLab;
