@@ -218,20 +218,22 @@ CUT = """() => [...(document.querySelector("article") ?? document.body).querySel
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_pages_fit_the_screen(site, scheme):
-    """Of a desk, of a tablet and of a telephone."""
+def test_pages_fit_the_screen(site):
+    """Of a desk, of a tablet and of a telephone, in light and in the dark."""
     pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
     found = []
     with open_chromium() as browser:
-        tab = browser.new_page(color_scheme=scheme)
+        tab = browser.new_page()
         tab.set_default_timeout(SLOWEST)
         for page in sorted(site.rglob("index.html")):
             tab.goto(page.as_uri())
-            for width in (1280, 800, 390):
-                tab.set_viewport_size({"width": width, "height": 900})
-                parts = [*tab.evaluate(OUT_OF_SIGHT), *tab.evaluate(CUT)]
-                found += [f"{page.relative_to(site)} at {width} px: {part}" for part in parts]
+            for scheme, of_theme in {"light": "default", "dark": "slate"}.items():
+                tab.emulate_media(color_scheme=scheme)
+                tab.evaluate("scheme => { document.body.dataset.mdColorScheme = scheme }", of_theme)
+                for width in (1280, 800, 390):
+                    tab.set_viewport_size({"width": width, "height": 900})
+                    parts = [*tab.evaluate(OUT_OF_SIGHT), *tab.evaluate(CUT)]
+                    found += [f"{page.relative_to(site)}, {scheme}, at {width} px: {part}" for part in parts]
     assert found == []
 
 
