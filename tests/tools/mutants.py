@@ -176,11 +176,12 @@ def write(chosen: dict[int, Mutant]) -> dict[tuple[str, int], int]:
 
 def compile_tests(chosen: dict[int, Mutant]) -> dict[str, list[str]]:
     """Compile, without the mutants that do not; return the test binaries by package."""
-    command = ["cargo", "test", "--locked", "--no-run", "--message-format=json", *(f"-p{name}" for name in PACKAGES)]
+    command = ["cargo", "test", "--locked", "--no-run", "--message-format=json", "--lib", "--test=main"]
+    command += [f"-p{name}" for name in PACKAGES]
     target = os.environ.get("CARGO_TARGET_DIR", str(HOME / "target"))
     while True:
         of_line, binaries, wrong = write(chosen), dict[str, list[str]](), set[int]()
-        env = os.environ | {"CARGO_TARGET_DIR": target, "RUSTFLAGS": "--cap-lints=warn"}
+        env = os.environ | {"CARGO_TARGET_DIR": target, "RUSTFLAGS": "--cap-lints=warn", "CARGO_PROFILE_DEV_DEBUG": "0"}
         done = subprocess.run(command, cwd=COPY, env=env, capture_output=True, text=True)
         for line in done.stdout.splitlines():
             message = json.loads(line)
