@@ -3,6 +3,7 @@
 ```text
 everything  a small robot with all that JAX has, none of whose numbers is zero: `configs/verify/everything.toml`; and
             with faults that exclude these, and limits that it reaches
+engine      predicted thrusts of engines that run, that reach their least thrust and that have stopped
 setpoint    a mission that is longer than any of the generator's limits
 wind        the velocity of the air, of every kind
 limit       whether a state just within and just beyond each limit of what is physically possible ends a flight
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.typed_config import scenario_config
+from jax_aero.body.jets import engines, predict_thrust
 from jax_aero.body.robot import load_robot
 from jax_aero.config import WindConfig
 from jax_aero.control.law import setpoint
@@ -103,8 +105,39 @@ def verify_everything() -> tuple[list[Row], list[Compared]]:
         flown.append(Compared(scenario, (), sections))
     config = rust.load_config(FILE)
     with jax.enable_x64(True):
-        others = [*verify_setpoint(rust.set_keys(config, MISSION)), *verify_winds(), verify_limits(config)]
+        others = [*verify_engines(config), *verify_setpoint(rust.set_keys(config, MISSION))]
+        others += [*verify_winds(), verify_limits(config)]
     return merge(rows) + others, flown
+
+
+def verify_engines(config: Mapping[str, Any]) -> list[Row]:
+    """Compare predicted thrusts and their rates, from thrusts measured a tick late, some below the engine's least."""
+    step = config["controller"]["time_step"]
+    config = rust.set_keys(config, {"controller.estimator": {"thrust": {"delay": step}}})
+    robot, controller, rng = load_robot(config["robot"]), rust.Controller(config), np.random.default_rng(0)
+    rest, torque, air = rust.State.at_rest(rust.Robot(config["robot"])), np.zeros(len(robot.joint_limits)), np.zeros(3)
+    least = np.asarray(robot.jets.thrust_min)
+    # Rates become negative only of great thrusts.
+    greatest = np.where(rng.random((201, least.size)) < 0.5, 2.0 * least, robot.jets.thrust_max)
+    measured = rng.uniform(0.0, greatest)
+    commanded, theirs = rng.uniform(-300.0, 100.0, measured.shape), []
+    for tick, (thrust, rate) in enumerate(zip(measured, commanded, strict=True)):
+        known = controller.tick(rest, thrust, air, tick * step).estimates
+        controller.replace_command(rate, torque)
+        theirs.append((known.thrust, known.thrust_rate))
+    model = engines(robot, robot.jets.engines)
+
+    @partial(jax.jit, compiler_options=UNOPTIMISED)
+    def predict(measured: Any, commanded: Any) -> Any:
+        def tick(rate: Any, now: Any) -> Any:
+            thrust, rate = predict_thrust(now[0], rate, now[1], jnp.asarray(step), jnp.asarray(least), model)
+            return rate, (thrust, rate)
+
+        return jax.lax.scan(tick, jnp.zeros(least.size), (measured, commanded))[1]
+
+    ours = predict(measured[1:], commanded[:-1])
+    pairs = zip(("thrust", "thrust_rate"), ours, zip(*theirs[1:], strict=True), strict=True)
+    return [compare("engine", name, twin, crate, KERNEL_TOLERANCE) for name, twin, crate in pairs]
 
 
 def verify_setpoint(config: Mapping[str, Any]) -> list[Row]:

@@ -37,7 +37,7 @@ def slider(tmp_path):
         most, least = rng.uniform(46.0, 49.0), rng.uniform(1.0, 12.0)
         return f"thrust_min = {least}\nthrust_max = {most}"
 
-    text = re.sub(r"thrust_max = 120\.0", drawn, source.read_text(encoding="utf-8"))
+    text = re.sub(r"thrust_min = .*\nthrust_max = .*", drawn, source.read_text(encoding="utf-8"))
     (tmp_path / "slider.toml").write_text(text, encoding="utf-8")
     (tmp_path / "slider.urdf").write_bytes(source.with_suffix(".urdf").read_bytes())
     return {"robot": str(tmp_path / "slider.toml")}

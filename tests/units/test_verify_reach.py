@@ -189,6 +189,30 @@ def test_wrong_faults_and_limits_are_refused(otherwise):
     assert all(found.values()), found
 
 
+WRONG_LEAST = {
+    "1 % of the least thrust": lambda thrust, least: jnp.clip(thrust, 0.0, 0.99 * least),
+    "a stopped engine that loses 0.1 %": lambda thrust, least: jnp.where(thrust < least, 0.999 * thrust, least),
+    "a stopped engine that loses all": lambda thrust, least: jnp.where(thrust < least, 0.0, least),
+    "a stopped engine that runs again": lambda _, least: least,
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_LEAST)
+def test_wrong_least_thrusts_are_refused(wrong, monkeypatch):
+    config, right = rust.load_config(everything.FILE), everything.predict_thrust
+
+    def predict(thrust, thrust_rate, command, dt, thrust_min, engines):
+        rate = right(thrust, thrust_rate, command, dt, thrust_min, engines)[1]
+        below = WRONG_LEAST[wrong](thrust, thrust_min)
+        return jnp.maximum(thrust + 0.5 * dt * (thrust_rate + rate), below), rate
+
+    with jax.enable_x64(True):
+        assert all(row.agrees for row in everything.verify_engines(config))
+        monkeypatch.setattr(everything, "predict_thrust", predict)
+        refused = [row.quantity for row in everything.verify_engines(config) if not row.agrees]
+    assert refused == ["thrust"]
+
+
 def test_wrong_limits_of_set_points_are_refused(monkeypatch):
     config = rust.set_keys(rust.load_config(everything.FILE), everything.MISSION)
 
