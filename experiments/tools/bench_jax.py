@@ -3,13 +3,15 @@
 Processor times are per sample of a batch, in double precision, on JAX's default device, the least of turns in which
 all that is measured runs once: so ratios hold beside other programs. Compilation is cold or from JAX's persistent
 cache; its memory are the temporaries of a program, per sample of the greatest batch. States are those of TEST2, and of
-`robot`, hovering in the full wind; episodes out of step plan at different ticks. Prints a Markdown table, and stores
-with `--store` what the greatest batch takes (`docs/results/bench_jax.json`).
+`robot`, hovering in the full wind; episodes out of step plan at different ticks. `mjx.step` steps TEST2's robot from
+the same states without forces: without constraints, and with joint stops, which our tick has too. Prints a Markdown
+table, and stores with `--store` what the greatest batch takes (`docs/results/bench_jax.json`).
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import os
 import sys
 import tempfile
@@ -20,13 +22,15 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
-from jax_aero import rust, sim
+from jax_aero import air, rust, sim
 from jax_aero.base.arguments import count
 from jax_aero.base.typed_config import scenario_config
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.kinematics import kinematics
+from jax_aero.body.mujoco_model import to_mujoco
 from jax_aero.body.robot import RobotModel
 from jax_aero.results import manifest
 from jax_aero.sim.rollout import fly_chunk
@@ -195,7 +199,9 @@ def _hovering(name: str) -> tuple[Any, Any]:
 
 
 def _all_cases() -> Iterator[Case]:
-    yield from cases(*_hovering("test2"))
+    scenario, hover = _hovering("test2")
+    yield from cases(scenario, hover)
+    yield from cases_of_mjx(scenario.plant.robot, hover.plant.robot)
     yield from cases_of_robot(*_hovering("robot"))
 
 
@@ -208,6 +214,18 @@ def cases(scenario: Any, hover: Any) -> Iterator[Case]:
     begun = hover, jnp.asarray(HOVER, jnp.int32)
     yield Case(_title("TEST2"), _rollout, scenario, (begun,), TICKS)
     yield Case(f"gradient of TEST2 by the aerodynamic areas, of {TICKS} ticks", _gradient, scenario, (begun,), TICKS)
+
+
+def cases_of_mjx(robot: RobotModel, state: State) -> Iterator[Case]:
+    """Yield MJX's step of the robot: without constraints, and with the joints' stops."""
+    free = air.mujoco_model()
+    stopped = copy.copy(free)
+    stopped.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    solver = mujoco.mjtSolver(stopped.opt.solver).name.removeprefix("mjSOL_").capitalize()
+    iterations = f"{solver}'s method, at most {stopped.opt.iterations} iterations"
+    for what, model in {"without joint stops": free, f"with joint stops ({iterations})": stopped}.items():
+        shared = robot, air.mjx.put_model(model, impl="jax"), air.mjx.make_data(model, impl="jax")
+        yield Case(f"mjx.step {what}, of a rollout of {TICKS}", _steps_of_mjx, shared, (state,), TICKS)
 
 
 def cases_of_robot(scenario: Any, hover: Any) -> Iterator[Case]:
@@ -241,6 +259,18 @@ def _forward_gradient(backend: Any) -> Callable[[RobotModel, State], Any]:
 
 def _rollout(scenario: Any, begun: tuple[Any, Any], ticks: int = TICKS) -> Any:
     return sim.rollout(scenario, begun[0], ticks, lambda row: row["com_position"], begun[1])[1]
+
+
+def _steps_of_mjx(shared: tuple[RobotModel, Any, Any], state: State) -> Any:
+    robot, model, data = shared
+    position, velocity = to_mujoco(robot, state)
+    begun = data.replace(qpos=position, qvel=velocity)
+
+    def step(data: Any, _: None) -> tuple[Any, Any]:
+        data = air.mjx.step(model, data)
+        return data, data.qpos[:3]
+
+    return jax.lax.scan(step, begun, None, TICKS)[1]
 
 
 def _gradient(scenario: Any, begun: tuple[Any, Any]) -> Any:

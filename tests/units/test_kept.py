@@ -254,10 +254,8 @@ TO_FLY = {
     "convergence_robot",
     "fault_pairs",
     "robot_gap_loss",
-    "robot_margins",
     "robot_take_off",
     "wind_humanoid_1",
-    "wind_humanoid_1_mk3",
 }
 """Stored sweeps of an earlier configuration, or whose flights have other bits by now, to be flown anew."""
 
