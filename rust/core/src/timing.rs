@@ -31,7 +31,8 @@ impl Exceeded {
     }
 
     /// Whether the limit has been exceeded in all ticks from one at least `confirmation` \[s\] ago to the last one, which was
-    /// `elapsed` \[s\] after the one before: for 0.1 s, in eleven of 10 ms. Half a tick absorbs rounding.
+    /// `elapsed` \[s\] after the one before: for 0.1 s, in eleven of 10 ms. Half a tick absorbs rounding. Where `confirmation`
+    /// is an odd number of half ticks, as 0.02 s of a momentum that is measured every 0.04 s, rounding decides between two.
     #[must_use]
     pub fn has_lasted(&self, confirmation: f64, elapsed: f64) -> bool {
         self.time > confirmation + 0.5 * elapsed

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use crate::common::{Loop, Running, assert_says, at, experiment, random_state, rng};
+use crate::common::{Loop, Running, assert_says, assert_within, at, experiment, random_state, rng};
 use flight_core::Measurement;
 use flight_core::aero::LinkConventions;
 use flight_core::control::config::ControllerConfig;
@@ -16,6 +16,7 @@ use flight_core::control::mpc::nonlinear::riccati::Riccati;
 use flight_core::control::{Modes, Present};
 use flight_core::jets::JetDynamics;
 use flight_core::qp::{KKT_TOLERANCE, QpStatus};
+use flight_core::spatial::exp_so3;
 use flight_io::{load_aero, load_robot};
 use flight_sim::disturbances::{FailureKind, JetFailure};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -517,5 +518,22 @@ fn the_backward_pass_of_a_descent_is_a_dense_solution() {
             let held = assert_is_dense(&expansions, &known, &knot.bounds, 1.0);
             assert!(held >= knots && held < knots * m, "{name} {}: {held}", jet.name);
         }
+    }
+}
+
+/// A state that is the other moved by every number: each of their differences is its own.
+#[test]
+fn differences_of_states_are_those_of_their_numbers() {
+    let (first, turn) = (State::new(2, 1), Vector3::new(0.1, -0.2, 0.3));
+    let mut moved = first.clone();
+    moved.height = 1.0;
+    (moved.velocity, moved.momentum) = (Vector3::new(2.0, 3.0, 4.0), Vector3::new(5.0, 6.0, 7.0));
+    moved.rotation = exp_so3(&turn);
+    (moved.thrust, moved.rate, moved.joints) = (vec![8.0, 9.0], vec![10.0, 11.0], vec![12.0]);
+    let mut found = DVector::from_element(moved.size(), f64::NAN);
+    moved.minus(&first, &mut found);
+    let expected = [1.0, 2.0, 3.0, 4.0, turn.x, turn.y, turn.z, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0];
+    for (found, expected) in found.iter().zip(expected) {
+        assert_within!((found - expected).abs(), 1e-14);
     }
 }

@@ -709,3 +709,17 @@ fn a_mission_goes_on_after_a_descent() {
     generator.resume(&mut state, &com, &velocity);
     assert_eq!(state.raw().rpy.y, before.rpy.y);
 }
+
+/// A base that turns may pitch beyond the limits by a thousandth of a degree before the first set-point.
+#[test]
+fn a_first_pitch_beyond_its_limits_is_named() {
+    let mission = Mission::Commands(commands("in_line"));
+    let generator = SetpointGenerator::new(&config(), mission, &Vector3::x(), TIME_STEP).unwrap();
+    let [low, high] = config().nose_down_limits_deg;
+    for (pitch, is_beyond) in
+        [(low - 2e-3, true), (low - 5e-4, false), (high + 5e-4, false), (high + 2e-3, true)]
+    {
+        let rotation = rotation_from_rpy(&Vector3::new(0.0, pitch.to_radians(), 0.3));
+        assert_eq!(generator.pitch_beyond_limits(&rotation).is_some(), is_beyond, "{pitch}°");
+    }
+}

@@ -147,3 +147,18 @@ pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
     }
     if finite { residual / size } else { f64::NAN }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of `½ x²` the residual at a small `x` is `x`: on either side of the tolerance.
+    #[test]
+    fn an_answer_is_solved_up_to_the_tolerance() {
+        let judged =
+            |x: f64| QpAnswer::judge(&QpProblem::new(1, 0), &[x], &[], 0, QpStatus::Inaccurate).status;
+        assert_eq!(judged(0.99 * KKT_TOLERANCE), QpStatus::Solved);
+        assert_eq!(judged(1.01 * KKT_TOLERANCE), QpStatus::Inaccurate);
+        assert_eq!(judged(f64::NAN), QpStatus::NonFinite);
+    }
+}

@@ -346,6 +346,24 @@ mod tests {
         assert!(out.iter().all(|out| out[..bias.len()] == bias[..]));
     }
 
+    /// Each row of a layer has its own weights, in whichever panel it is; the padding is zero.
+    #[test]
+    #[allow(clippy::float_cmp, reason = "sums of small whole numbers are exact")]
+    fn a_layer_of_many_panels_is_its_product() {
+        let number = |k: usize| f32::from(u8::try_from(k * 7 % 11).unwrap_or(0)) - 5.0;
+        let (rows, inputs, x) = (300, 3, [2.0_f32, -1.0, 3.0]);
+        let weights: Vec<f32> = (0..rows * inputs).map(number).collect();
+        let bias: Vec<f32> = (0..rows).map(number).collect();
+        let layer = Layer::<f32>::new::<4>(&weights, &bias, inputs);
+        let mut out = [vec![f32::NAN; layer.bias.len()]];
+        layer.apply::<4, 1>(&[x.to_vec()], &mut out, |sum| sum);
+        for (row, found) in out[0].iter().enumerate() {
+            let weights = weights.get(row * inputs..(row + 1) * inputs).unwrap_or(&[0.0; 3]);
+            let product: f32 = weights.iter().zip(x).map(|(weight, x)| weight * x).sum();
+            assert!(*found == product + bias.get(row).unwrap_or(&0.0), "row {row}: {found}");
+        }
+    }
+
     /// Activations saturate, and a NaN remains NaN.
     #[test]
     fn activations_are_total() {
