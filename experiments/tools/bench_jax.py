@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
+import mujoco  # type: ignore[import-untyped]
 import numpy as np
 
 from jax_aero import air, rust, sim
