@@ -40,6 +40,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Key
+from msgspec import structs
 from numpy.typing import NDArray
 
 from jax_aero.base import tables
@@ -329,10 +330,12 @@ class Trainer:
     step
         Function from a key, a state, the number of the step and the share of the learning rate to the next state, the
         mean reward of its ticks and the share of flights that were lost.
+    of
+        What `start` and `step` are made of, as far as a text can say it: a checkpoint of another one does not count.
     """
 
-    def __init__(self, steps: int, start: Callable[..., Any], step: Callable[..., Any]) -> None:
-        self.steps, self._start = steps, jax.jit(start)
+    def __init__(self, steps: int, start: Callable[..., Any], step: Callable[..., Any], of: str = "") -> None:
+        self.steps, self._start, self._of = steps, jax.jit(start), of
         self._step = jax.jit(step, compiler_options=COMPILER_OPTIONS)
 
     def train(
@@ -352,9 +355,11 @@ class Trainer:
         seed
             Of the initial weights and the flights.
         checkpoint
-            File of an unfinished training, from which it resumes to the same numbers; `None` for none.
+            File from which a training resumes to the same numbers, and which stays when it has finished; `None` for
+            none. One of another seed, task, setting (but for `steps`) or size of an array does not count.
         digest
-            What the training is of: a checkpoint of another one does not count.
+            Text that names what is not compared, since it is functions or configurations: network, observation,
+            reward, curriculum, `drawn`. A checkpoint with another text does not count.
         start
             Initial parameters in place of those of the network: a warm start.
         checkpoint_every
@@ -366,7 +371,9 @@ class Trainer:
         state = self._start(key)
         if start is not None:
             state = replace(state, parameters=jax.tree.map(jnp.asarray, start))
-        if checkpoint is not None and (stored := load_checkpoint(checkpoint, digest, state)):
+        sizes = [jnp.shape(array) for array in jax.tree.leaves(state)]
+        seal = f"{digest}; {self._of}; seed {seed}; {sizes}"
+        if checkpoint is not None and (stored := load_checkpoint(checkpoint, seal, state)):
             state, rows = stored.state, [Row(*row) for row in stored.facts["rows"]]
         with progress_bar("step", f"seed {seed}", delay=0) as show:
             for number in range(len(rows), self.steps):
@@ -380,7 +387,7 @@ class Trainer:
                 on_step(number + 1, state.parameters, rows)
                 is_due = (number + 1) % checkpoint_every == 0 or number + 1 == self.steps
                 if checkpoint is not None and is_due:
-                    save_checkpoint(checkpoint, digest, Checkpoint(state, {"rows": rows}))
+                    save_checkpoint(checkpoint, seal, Checkpoint(state, {"rows": rows}))
         return TrainingResult(jax.tree.map(np.asarray, state.parameters), tuple(rows))
 
 
@@ -410,7 +417,8 @@ def trainer(
     """
     network = network or perceptron(env, settings.hidden)
     of = env, network, settings, curriculum
-    return Trainer(settings.steps, partial(_start, *of), partial(_step, *of))
+    named = f"{getattr(env, 'task', None)}; {structs.replace(settings, steps=1)}"
+    return Trainer(settings.steps, partial(_start, *of), partial(_step, *of), named)
 
 
 def _start(env: Any, network: Network, settings: Settings, curriculum: Curriculum, key: Array) -> _State:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.spatial.transform import Rotation
 
 from jax_aero.base.features import Aim
@@ -179,6 +180,21 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_numbers(tmp_path):
     assert after == [5, 6]
     assert [row[:2] for row in again.rows] == [row[:2] for row in whole.rows]
     assert jax.tree.all(jax.tree.map(np.array_equal, again.parameters, whole.parameters))
+
+
+def test_a_checkpoint_of_another_training_does_not_count(tmp_path):
+    """Of another seed, setting, network or digest; one with fewer steps does, and goes on."""
+    few = Settings(steps=2, batch=2, ticks=5, hidden=(2,))
+    done = []
+    for seed, changes in ((0, {}), (1, {}), (1, {"learning_rate": 0.1}), (1, {"hidden": (3,)}), (1, {"hidden": (3,)})):
+        train(structs.replace(few, **changes), seed, tmp_path, on_step=lambda step, *_: done.append(step))
+    assert done == 4 * [1, 2], "the last one is finished"
+    train(structs.replace(few, hidden=(3,), steps=3), 1, tmp_path, on_step=lambda step, *_: done.append(step))
+    assert done[8:] == [3]
+    named = trainer(Spring(), few)
+    for digest in ("one reward", "another reward"):
+        named.train(0, checkpoint=tmp_path / "d", digest=digest, on_step=lambda step, *_: done.append(step))
+    assert done[9:] == 2 * [1, 2]
 
 
 def test_gradients_are_clipped_flight_by_flight():
