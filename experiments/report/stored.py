@@ -45,9 +45,9 @@ def _find(document: Kept, asked: Criterion, differs: str) -> Finding:
     ]:
         verdict = Verdict.of(Kind.OUTDATED, f"`{unknown[0]}` is not kept: {kept.AGAIN}")
     if differs:
-        return Finding(
-            f"{measured.text}; {ANOTHER}: {differs}", Verdict.of(Kind.OUTDATED, verdict.text), document.commit
-        )
+        if verdict.kind is not Kind.OUTDATED:
+            verdict = Verdict.of(Kind.OUTDATED, verdict.text)
+        return Finding(f"{measured.text}; {ANOTHER}: {differs}", verdict, document.commit)
     return Finding(measured.text, verdict, document.commit)
 
 

@@ -120,7 +120,8 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
     written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts, **findings})
     bad = [row for row in rows if not row.agrees]
     but = f", not {', '.join(f'{row.group} {row.quantity}' for row in bad)}" if bad else ""
-    print("\n" + _lines({name: len(value) if name == "not executed" else value for name, value in findings.items()}))
+    shown = {name: f"{len(findings[name])} places, named in {NUMBERS}" for name in findings if name == "not executed"}
+    print("\n" + _lines(findings | shown))
     print(f"{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
     return 1 if bad else 0
 

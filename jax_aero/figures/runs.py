@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from pathlib import Path
 
 import xarray as xr
@@ -38,7 +39,10 @@ def load(results: Path, name: str, label: str | None = None) -> xr.Dataset:
     if not path.is_file():
         fly = kinds.find("flight")
         elsewhere = "" if results.resolve() == RESULTS.resolve() else f" --out {path.parents[1]}"
-        raise MissingRun(f"no flight `{name}` in {path.parents[1]}; fly it with: {fly.line(name, options=elsewhere)}")
+        changed = sorted(found.parent.name for found in path.parents[1].glob(f"{glob.escape(name)}--*/{RUN_FILE}"))
+        there = f"; there are {', '.join(changed)}" if changed else ""
+        line = fly.line(name, options=elsewhere)
+        raise MissingRun(f"no flight `{name}` in {path.parents[1]}{there}; fly it with: {line}")
     flight = read(path)
     named = (path.parent.name, flight.attrs["title"]) if label is None else (label, label)
     return flight.assign_attrs(zip(("name", "title"), map(escape_text, named), strict=True))

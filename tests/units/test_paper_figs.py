@@ -1,3 +1,5 @@
+import shutil
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -67,6 +69,13 @@ def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, caps
     answer = capsys.readouterr().err
     assert "no flight `test2`" in answer
     assert f"jax-aero fly test2 --out {tmp_path / 'flight'}" in answer
+    assert "there are" not in answer
+
+
+def test_for_a_missing_flight_those_with_changes_are_named(made_up_results, tmp_path, capsys):
+    shutil.copytree(made_up_results / "flight" / "test2", tmp_path / "flight" / "test2--simulator.duration=8")
+    assert main(["compare", "--results", str(tmp_path), "--out", str(tmp_path), "--runs", "test2"]) == 1
+    assert "there are test2--simulator.duration=8; fly it with" in capsys.readouterr().err
 
 
 def test_a_wrong_number_of_runs_is_named(capsys):
