@@ -22,14 +22,6 @@ from jax_aero.base import places
 KERNEL_TOLERANCE = 1e-10
 QP_TOLERANCE = 1e-8
 
-ASTRAY_TOLERANCE = 1e-7
-"""Of the solutions of QPs in flights astray, whose gradients are large.
-
-A QP of n unknowns is solved while a scaled multiplier of a wrong sign may be up to `n ε size` (`qp/primal.rs`; M66 has
-`size`), which leaves `n ε size/√H_ii` of an unknown open. With a plan of Mk3 there, `size` is 110 to 750 and the least
-`H_ii` 4.7e-8: 1e-8 to 8e-8 rad/s, at most 5e-8 of the greatest command, in each of two solvers.
-"""
-
 UNOPTIMISED = {"xla_backend_optimization_level": 0}
 """Options for `jax.jit` of what runs for a moment: to compile it takes longer."""
 

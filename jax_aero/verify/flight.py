@@ -38,7 +38,6 @@ from jax_aero.sim.signals import FlightRow
 from jax_aero.sim.step import FlightState, step
 from jax_aero.types import Array, State, where
 from jax_aero.verify import (
-    ASTRAY_TOLERANCE,
     KERNEL_TOLERANCE,
     OF_SOLVERS,
     QP_TOLERANCE,
@@ -381,7 +380,7 @@ def compare_signals(
     ticks: int,
 ) -> list[Row]:
     """Compare the first ticks of all signals of the crate that JAX has computed."""
-    rows, of_solutions = [], ASTRAY_TOLERANCE if group == "astray" else QP_TOLERANCE
+    rows = []
     for name, signal in crate.log.items():
         if name in twin and name not in NOT_COMPARED:
             theirs = signal[:ticks]
@@ -390,7 +389,7 @@ def compare_signals(
             ours = np.full_like(theirs, np.nan)
             ours[: len(twin[name])] = twin[name][:ticks]
             ours = match_branch(name, ours, theirs)
-            tolerance = of_solutions if name in SOLUTIONS else KERNEL_TOLERANCE
+            tolerance = QP_TOLERANCE if name in SOLUTIONS else KERNEL_TOLERANCE
             rows.append(compare(group, name, ours, theirs, tolerance, rounded=near, carried=CARRIED))
     return rows
 

@@ -62,12 +62,19 @@ def distances(
 
     bodies = np.array(clearance.bodies, dtype=int)
 
-    def of(position: Array) -> tuple[Array, Array]:
+    def segments(position: Array) -> tuple[_Segments, _Segments]:
         kin = kinematics_at_rest(robot, joint_position.at[moved].set(position))
         turned = kin.body_rotations[bodies]
         start = rotate(turned, clearance.start) + kin.body_positions[bodies]
         way = rotate(turned, clearance.way)
-        gap = _gap((start[one], way[one]), (start[other], way[other]))
+        return (start[one], way[one]), (start[other], way[other])
+
+    # The distance is least at the nearest points, so its derivative is that with both points fixed on their segments.
+    # It is not differentiated through them: `TINY` moves them off the minimum.
+    places = _nearest(*segments(joint_position[moved]))
+
+    def of(position: Array) -> tuple[Array, Array]:
+        gap = _between(*segments(position), places)
         apart = jnp.sqrt(jnp.maximum(jnp.sum(gap * gap, axis=1), TINY**2))
         found = apart - clearance.radius[one] - clearance.radius[other]
         return found, found
@@ -76,8 +83,19 @@ def distances(
     return found, by_joint
 
 
-def _gap(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
-    """Return the way between the nearest points of pairs of segments (p, 3).
+_Segments = tuple[Array, Array]
+"""Starts and ways of segments (p, 3) [m]."""
+
+
+def _between(first: _Segments, second: _Segments, places: tuple[Array, Array]) -> Array:
+    """Return the ways from points of the second segments to those of the first (p, 3), at these shares of them."""
+    (start_1, way_1), (start_2, way_2) = first, second
+    on_first, on_second = places
+    return start_1 - start_2 + on_first[:, None] * way_1 - on_second[:, None] * way_2
+
+
+def _nearest(first: _Segments, second: _Segments) -> tuple[Array, Array]:
+    """Return at which shares of pairs of segments (p,) their nearest points lie.
 
     They are those of two lines with parameters clamped in turn (Ericson, Real-Time Collision Detection, 2005, section
     5.1.9).
@@ -92,5 +110,4 @@ def _gap(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
     c, f = along(way_1, between), along(way_2, between)
     on_first = jnp.clip((b * f - c * e) / (a * e - b * b + TINY), 0.0, 1.0)
     on_second = jnp.clip((b * on_first + f) / e, 0.0, 1.0)
-    on_first = jnp.clip((b * on_second - c) / a, 0.0, 1.0)
-    return between + on_first[:, None] * way_1 - on_second[:, None] * way_2
+    return jnp.clip((b * on_second - c) / a, 0.0, 1.0), on_second
