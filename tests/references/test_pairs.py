@@ -117,7 +117,7 @@ def test_two_faults_are_found_as_each_alone(pair):
     for kind, its in zip(pair, (first, second), strict=True):
         if UNFOUND.get(kind, set()) & {*pair}:
             continue
-        told = [each.measured.time for each in ticks if says(kind, its, each.tick, names)]
-        late = min((time for time in told if time >= starts[kind]), default=np.inf) - starts[kind]
+        found = [each.measured.time for each in ticks if says(kind, its, each.tick, names)]
+        late = min((time for time in found if time >= starts[kind]), default=np.inf) - starts[kind]
         waits = GAP + PAUSE if "no momentum" in pair else 0.0
         assert late <= (WITHIN[kind] + waits if kind in WITHIN else config["controller"]["time_step"]), kind

@@ -5,7 +5,7 @@
 //! and for joints and base not frozen, that is, with the same bits for several ticks while the prediction moves away.
 //! Otherwise the prediction is used, and the age of the channel grows. The first measurements of a flight may be the wrong
 //! ones, and later the prediction: where more of the following ones contradict it, and agree with each other, than it rests
-//! on, or as many as a robot flies blind before it descends, the flight begins again from them.
+//! on, or as many as may be missing before the robot descends, the flight begins again from them.
 //!
 //! ```text
 //! wind              its last value, which fades to zero
