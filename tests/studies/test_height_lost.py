@@ -5,6 +5,7 @@ import jax
 import numpy as np
 import pytest
 
+from experiments.studies.height_lost import fall as falls
 from experiments.studies.height_lost import study as height_lost
 from jax_aero import rust
 from jax_aero.base import tables
@@ -24,14 +25,14 @@ def test_an_engine_is_that_of_the_twin_and_scales_in_time_and_thrust(agree):
     engine = jets.Engines(**{name: np.array([float(k[name])]) for name in jets.Engines._fields})
     with jax.enable_x64(True):
         expected = jets.thrust_acceleration(engine, np.array([80.0]), np.array([12.0]), np.array([60.0]))
-    found = height_lost._acceleration(k, 2 * 80.0, 2 * 12.0 / 3.0, height_lost._input(k, 60.0), ca.DM([3.0, 2.0]))
+    found = falls._acceleration(k, 2 * 80.0, 2 * 12.0 / 3.0, falls._input(k, 60.0), ca.DM([3.0, 2.0]))
     agree("acceleration", float(found), 2.0 / 9.0 * float(expected[0]), 1e-12)
 
 
 def test_without_reaction_it_falls_and_turns(fall):
     """A chest engine carried a fourth of the weight; the arms of the others turn it."""
-    assert -0.5 < fall.start[height_lost.DOWNWARDS] < 0.24
-    assert 0.02 < np.abs(fall.start[height_lost.TURN][:2]).max() < 0.2
+    assert -0.5 < fall.start[falls.DOWNWARDS] < 0.24
+    assert 0.02 < np.abs(fall.start[falls.TURN][:2]).max() < 0.2
     assert abs(fall.start[14]) < 1e-12
 
 
@@ -44,8 +45,8 @@ def test_a_fall_ends_within_the_limits_of_a_landing(fall):
     landing, found = fall.solve(1.0, 1.0)
     path = found[: fall.size * 5].reshape(5, fall.size)
     assert 0.5 < landing.height < 4.0
-    assert path[-1, height_lost.DOWNWARDS] >= -height_lost.DOWNWARDS_MAX - 1e-6
-    assert float(fall.upright(path[-1])) >= np.cos(height_lost.LEAN_MAX) - 1e-6
+    assert path[-1, falls.DOWNWARDS] >= -falls.DOWNWARDS_MAX - 1e-6
+    assert float(fall.upright(path[-1])) >= np.cos(falls.LEAN_MAX) - 1e-6
 
 
 def test_strong_and_fast_engines_lose_no_height_and_gain_none(fall):
