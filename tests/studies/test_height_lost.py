@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.studies.height_lost import fall as falls
+from experiments.studies.height_lost import sink as sinks
 from experiments.studies.height_lost import study as height_lost
 from jax_aero import rust
 from jax_aero.base import tables
@@ -74,3 +75,47 @@ def test_a_flown_touchdown_is_that_of_the_flight():
     assert 1.5 < found.downwards < np.sqrt(2 * 9.81)
     assert found.duration < 2.0
     assert 0.0 < found.lean <= found.steepest
+
+
+def test_the_fastest_descent_that_is_flown_is_found_by_bisection(monkeypatch):
+    """Robots that land below 0.5 m/s: bisection finds 0.45; there is no speed where not even a hover is landed."""
+
+    class Flown:
+        def __init__(self, speed, limit):
+            self.outcome = "landed" if speed < limit else "crashed"
+
+    def flying(limit):
+        def fly_batch(configs):
+            assert len(configs) == asked.robots
+            return [Flown(config["controller"]["setpoint"]["speed"][1], limit) for config in configs]
+
+        return fly_batch
+
+    asked, config = falls.HeightLost(robots=2, speed_max=1.6, halvings=5), rust.load_config("robot")
+    monkeypatch.setattr(rust, "fly_batch", flying(0.5))
+    assert sinks.flown(asked, config, "l_arm_jet", 1.0) == pytest.approx(0.45)
+    monkeypatch.setattr(rust, "fly_batch", flying(0.0))
+    assert np.isnan(sinks.flown(asked, config, "l_arm_jet", 1.0))
+
+
+def test_a_sinking_robot_loses_its_engine_at_the_height():
+    config = sinks.sinking(rust.load_config("robot"), "l_arm_jet", 1.0, 0.4)
+    log = rust.fly(config).log
+    at_loss = np.searchsorted(log["time"], sinks.LOSS)
+    above = log["com_position"][at_loss, 2] - log["com_position"][0, 2] - config["simulator"]["ground_height"]
+    assert above == pytest.approx(1.0, abs=0.05)
+    assert log["com_velocity"][at_loss, 2] == pytest.approx(-0.4, abs=0.05)
+
+
+def test_a_landing_is_slow_near_the_ground():
+    way = sinks.landing(rust.load_config("robot"))
+    low = way["landing_height"] < 2.4
+    assert way["landing_speed"].values[low] == pytest.approx(0.2)
+    assert float(way["landing_speed"].max()) == pytest.approx(0.75)
+
+
+def test_the_fastest_descent_before_an_arm_is_lost_at_1_m_is_slow():
+    """A chest engine would have to be lost while the robot rises; from 3 m it is 1 m/s."""
+    hover = rust.set_keys(rust.load_config("robot"), {"mission": {}, **sinks.WIND})
+    fall = sinks.Sink(ASKED, hover, sinks.LOSS, "l_arm_jet")
+    assert 0.1 < fall.fastest(1.0) < 0.6
