@@ -112,10 +112,3 @@ def test_a_landing_is_slow_near_the_ground():
     low = way["landing_height"] < 2.4
     assert way["landing_speed"].values[low] == pytest.approx(0.2)
     assert float(way["landing_speed"].max()) == pytest.approx(0.75)
-
-
-def test_the_fastest_descent_before_an_arm_is_lost_at_1_m_is_slow():
-    """A chest engine would have to be lost while the robot rises; from 3 m it is 1 m/s."""
-    hover = rust.set_keys(rust.load_config("robot"), {"mission": {}, **sinks.WIND})
-    fall = sinks.Sink(ASKED, hover, sinks.LOSS, "l_arm_jet")
-    assert 0.1 < fall.fastest(1.0) < 0.6
