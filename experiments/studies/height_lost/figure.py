@@ -12,7 +12,7 @@ from jax_aero.figures.entry import Entry
 from jax_aero.figures.panels import readable_name
 
 COLOURS = (style.VERMILION, style.BLUE, style.GREEN, style.BLACK)
-LINES = {"optimum": ("--", "optimal control"), "flown": ("o-", "all of eight robots land")}
+LINES = {"optimum": ("--", "optimal control"), "flown": ("o-", "all robots land")}
 LABELS = {
     "spool_up": "time that the engines take, relative to theirs",
     "thrust": "thrust of the engines, relative to theirs",

@@ -39,8 +39,6 @@ WIND = {"wind.ramp_start": 0.0, "wind.ramp_end": 1.0}
 """The wind of the flight is there when the robot begins to sink."""
 AFTER = 10.0
 """Duration of a flight after the loss [s], and the time of a descent from its height."""
-LANDING = [[40.0, 56.2]]
-"""Its time in `configs/mission/landing.toml` [s]."""
 NEAR = 0.05
 """Height above the start at which a mission ends [m]."""
 RISING = 2.0
@@ -161,7 +159,8 @@ def sinks(asked: HeightLost, flights: Mapping[str, rust.Config]) -> Findings:
         speeds = data["speed"].sel(engine=engine, of=of).values
         found = {f"{height:g} m [m/s]": float(speed) for height, speed in zip(asked.sinking, speeds, strict=True)}
         summary[f"{engine}, {of}"] = {key: None if np.isnan(speed) else speed for key, speed in found.items()}
-    slow = rust.load_config(experiment, {"mission.down": [], "mission.land": LANDING, "simulator.duration": 60.0})
+    land = tables.read(places.CONFIGS / "mission" / "landing.toml")["land"]
+    slow = rust.load_config(experiment, {"mission.down": [], "mission.land": land, "simulator.duration": 60.0})
     summary["a landing"] = {**price(config, slow)}
     return Findings(
         "Fastest descent from which an engine's loss is landed",
