@@ -39,8 +39,6 @@ from jax_aero.train.from_flights import FlightTraining
 Array = NDArray[np.float64]
 
 SETTINGS = places.CONFIGS / "training_flights" / "hover.toml"
-NOMINAL = "corrected"
-"""Coefficient set of the nominal model."""
 MODELS = ("nominal", "refit", "learnt", "true")
 LEARNERS = ("learnt", "learnt on nominal", "refit")
 """What `minutes` learns: networks from nothing and on the nominal model, and coefficients fitted from the latter."""
@@ -64,6 +62,10 @@ class LearntAir(tables.Table, frozen=True):
     anemometers: tuple[Literal["exact", "wrong"], ...] = ("exact", "wrong")
     laws: tuple[str, ...] = ("test2",)
     """Experiments whose law and world fly, from hover."""
+    lag: tables.NonNegative = 0.0
+    """Time constant with which the true forces follow those of the air [s]; no model knows it."""
+    flown: str = "robot"
+    """Experiment whose robot is flown without a model to learn from."""
     flights: tables.Count = 24
     """Flights of 40 s to learn from."""
     winds: tables.Count = 256
@@ -92,9 +94,9 @@ def settings_of(**changes: Any) -> FlightTraining:
 class Record:
     """A flight to learn from, or to judge by: what it holds of the air, and the truth."""
 
-    def __init__(self, config: rust.Config, robot: RobotModel, name: str, misread: Any = None) -> None:
-        flown = rust.fly(config)
-        log = dict(flown.log) if misread is None else misread(dict(flown.log))
+    def __init__(self, config: rust.Config, robot: RobotModel, name: str, lag: float = 0.0) -> None:
+        flown = worlds.fly(config, None, np.asarray(robot.forward_axis), lag)
+        log = dict(flown.log)
         if flown.outcome != "completed":  # what a robot that falls measures is no flight
             log = {key: rows[:-100] for key, rows in log.items()}
         self.flight: Flight = observed.flight_of(name, log, config, robot)
@@ -172,7 +174,8 @@ def judged(
         for number in range(asked.winds):
             seed = asked.seed + 1000
             errors = worlds.errors_of(seed, number) if anemometer == "wrong" else None
-            flown = worlds.fly(worlds.judging(law, profile, seed, number, air, model), errors, forward)
+            config = worlds.judging(law, profile, seed, number, air, model)
+            flown = worlds.fly(config, errors, forward, asked.lag)
             for figure, (key, factor) in FIGURES.items():
                 is_lost = flown.outcome != "completed"
                 by_model[name][figure].append(np.inf if is_lost else float(flown.summary[key]) * factor)
@@ -184,7 +187,7 @@ def judged(
 
 def compute(name: str, asked: LearntAir, work: Work) -> Findings:
     """Fly, learn, and judge."""
-    robot = load_robot(rust.load_config("robot")["robot"])
+    robot = load_robot(rust.load_config(asked.flown)["robot"])
     with tempfile.TemporaryDirectory() as kept:
         folder = Path(kept)
         air = worlds.air_of(asked.air, robot, folder)
@@ -193,12 +196,19 @@ def compute(name: str, asked: LearntAir, work: Work) -> Findings:
         return _cells(name, asked, air, robot, folder, work)
 
 
-def _records(count: int, air: Mapping[str, Any], robot: RobotModel, folder: Path, kind: str, seed: int) -> list[Record]:
+def _records(
+    asked: LearntAir, count: int, air: Mapping[str, Any], robot: RobotModel, folder: Path, kind: str, seed: int
+) -> list[Record]:
     made = []
     for number in range(count):
-        config = worlds.learning(seed, number, count, air, kind, folder)
-        made.append(Record(config, robot, f"{kind}-{number}"))
+        config = worlds.learning(seed, number, count, air, kind, folder, asked.flown)
+        made.append(Record(config, robot, f"{kind}-{number}", asked.lag))
     return made
+
+
+def _nominal(asked: LearntAir) -> dict[str, Any]:
+    """Return the aerodynamic model that the robot has without learning."""
+    return dict(rust.load_config(asked.flown)["controller"]["aero"])
 
 
 def _say(text: str) -> None:
@@ -209,7 +219,7 @@ def _cells(
     name: str, asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder: Path, work: Work
 ) -> Findings:
     settings, summary = settings_of(), dict[str, Any]()
-    nominal = rust.load_config("robot")["controller"]["aero"]
+    nominal = _nominal(asked)
     began = time.process_time()
     records: list[Record] = []
     judges: list[Record] = []
@@ -220,21 +230,21 @@ def _cells(
         kept = work.read_json(f"learnt-{anemometer}")
         if kept is None:
             if not records:
-                records = _records(asked.flights, air, robot, folder, "mixed", asked.seed)
+                records = _records(asked, asked.flights, air, robot, folder, "mixed", asked.seed)
                 seconds["flights to learn from"] = time.process_time() - began
-                judges = _records(asked.judges, air, robot, folder, "mixed", asked.seed + 500)
+                judges = _records(asked, asked.judges, air, robot, folder, "mixed", asked.seed + 500)
                 _say(f"{len(records)} flights to learn from, {len(judges)} that judge")
-            flights = _seen(records, anemometer, asked.seed, robot)
+            flights = _seen(asked, records, anemometer, robot)
             start = time.process_time()
             learnt = from_flights.learn(settings, flights, robot)
             seconds[f"learning, {anemometer}"] = time.process_time() - start
             zero = np.zeros((robot.aero_links.count, refit.TERMS))
-            coefficients = {"nothing": zero, "nominal": robot.aero_links.coefficients[NOMINAL]}
+            coefficients = {"nothing": zero, "nominal": robot.aero_links.coefficients[nominal["coefficients"]]}
             networks = {key: refit.as_network(robot, np.asarray(rows)) for key, rows in coefficients.items()}
             networks |= {"refit": learnt.refit, "learnt": learnt.network}
             wrench = {key: errors_of(network, judges, robot) for key, network in networks.items()}
             if asked.controls and anemometer == "exact":
-                wrench |= _controls(settings, flights, judges, robot, summary)
+                wrench |= _controls(settings, networks["nominal"], flights, judges, robot, summary)
             kept = {"wrench": wrench, "cards": {}, "controls": dict(summary)}
             for key in ("refit", "learnt"):
                 path = folder / f"{key}_{anemometer}.json"
@@ -277,30 +287,28 @@ def _cells(
         f"The air of {asked.air}, learnt from {asked.flights * 40.0 / 60.0:.0f} minutes of simulated flight",
         data,
         summary,
-        flights={law: rust.load_config(law) for law in ("robot", *asked.laws)},
+        flights={law: rust.load_config(law) for law in (asked.flown, *asked.laws)},
         files=[SETTINGS],
         inputs={"name": name},
         texts=cards,
     )
 
 
-def _seen(records: Sequence[Record], anemometer: str, seed: int, robot: RobotModel) -> list[Flight]:
+def _seen(asked: LearntAir, records: Sequence[Record], anemometer: str, robot: RobotModel) -> list[Flight]:
     """Return what flights hold of the air by an anemometer."""
     if anemometer == "exact":
         return [record.flight for record in records]
-    forward, config, flights = (
-        np.asarray(robot.forward_axis),
-        rust.load_config("robot", {"controller.aero": {"model": "off"}}),
-        [],
-    )
+    config = rust.load_config(asked.flown, {"controller.aero": {"model": "off"}})
+    flights = []
     for number, record in enumerate(records):
-        log = worlds.misread(record.log, seed, number, forward)
+        log = worlds.misread(record.log, asked.seed, number, np.asarray(robot.forward_axis))
         flights.append(observed.flight_of(record.flight.name, log, config, robot))
     return flights
 
 
 def _controls(
     settings: FlightTraining,
+    nominal: Network,
     flights: Sequence[Flight],
     judges: Sequence[Record],
     robot: RobotModel,
@@ -329,16 +337,15 @@ def _controls(
     network = from_flights.learn(settings, [flight for flight in without if flight.seconds > 5.0], robot).network
     errors["learnt without a sector, in it"] = errors_of(network, judges, robot, in_sector)
     errors["learnt without a sector, elsewhere"] = errors_of(network, judges, robot, lambda *row: ~in_sector(*row))
-    for key in (NOMINAL,):
-        coefficients = refit.as_network(robot, np.asarray(robot.aero_links.coefficients[key]))
-        errors["nominal, in that sector"] = errors_of(coefficients, judges, robot, in_sector)
+    errors["nominal, in that sector"] = errors_of(nominal, judges, robot, in_sector)
     return errors
 
 
 def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder: Path, work: Work) -> Findings:
     """Learn from more and more minutes of several kinds of flights, with and without the nominal model beneath."""
-    judges = _records(asked.judges, air, robot, folder, "mixed", asked.seed + 500)
-    nominal = np.asarray(robot.aero_links.coefficients[NOMINAL])
+    judges = _records(asked, asked.judges, air, robot, folder, "mixed", asked.seed + 500)
+    baseline = str(_nominal(asked)["coefficients"])
+    nominal = np.asarray(robot.aero_links.coefficients[baseline])
     zero = np.zeros_like(nominal)
     figures: dict[str, dict[str, Any]] = {}
     for kind in asked.kinds:
@@ -349,11 +356,11 @@ def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder
             job = f"{kind}, {minutes:g} minutes"
             kept = work.read_json(job)
             if kept is None:
-                every = every or _records(most, air, robot, folder, kind, asked.seed)
+                every = every or _records(asked, most, air, robot, folder, kind, asked.seed)
                 # From all sides, however few they are.
                 flights = [every[number].flight for number in (np.arange(count) * most // count).tolist()]
                 kept = {}
-                for model, base in (("learnt", "none"), ("learnt on nominal", NOMINAL)):
+                for model, base in (("learnt", "none"), ("learnt on nominal", baseline)):
                     # As many steps, whatever there is to learn from.
                     batches = max(1, count // settings_of().training.batch)
                     settings = settings_of(**{"network.baseline": base, "training.epochs": STEPS // batches})
@@ -381,7 +388,7 @@ def _minutes(asked: LearntAir, air: Mapping[str, Any], robot: RobotModel, folder
         ]
         data[measure] = ("kind", "minutes", "model"), np.reshape(rows, shape), {"units": measures[measure]}
         data[f"{measure}_line"] = "line", [figures[line][title] for line in lines], {"units": measures[measure]}
-    flights_of = {law: rust.load_config(law) for law in ("robot", asked.laws[0])}
+    flights_of = {law: rust.load_config(law) for law in (asked.flown, asked.laws[0])}
     title = "How much flight it takes to learn the air"
     return Findings(title, data.assign_coords(line=list(lines)), figures, flights=flights_of, files=[SETTINGS])
 

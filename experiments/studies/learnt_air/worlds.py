@@ -154,6 +154,8 @@ def judging(law: str, profile: str, seed: int, number: int, air: Mapping[str, An
     keys = {"simulator.duration": seconds, "wind": wind, "mission": {}, "controller.aero": model, "simulator.aero": air}
     of = json.dumps([law, profile, dict(air), model], sort_keys=True)
     if of not in _loaded:
+        if rust.load_config(law)["controller"].get("mpc"):
+            keys["controller.mpc.air"] = "constant"  # only the axisymmetric model has the derivatives of a linear one
         config = rust.load_config(law, keys)
         _loaded[of] = config, rust.Robot(config["robot"])
     loaded, robot = _loaded[of]
@@ -167,16 +169,40 @@ _loaded: dict[str, tuple[rust.Config, rust.Robot]] = {}
 """Flights that judge, which differ in their wind and in what is drawn alone."""
 
 
-def fly(config: rust.Config, errors: Mapping[str, Any] | None, forward: Array) -> Any:
-    """Fly; with errors of the anemometer it also stands in the robot's wake."""
-    if errors is None:
+def fly(config: rust.Config, errors: Mapping[str, Any] | None, forward: Array, lag: float = 0.0) -> Any:
+    """Fly; with errors of the anemometer it also stands in the robot's wake.
+
+    With a lag [s], forces follow those of the air with a first-order delay, from what they are at the start.
+    """
+    if errors is None and lag == 0.0:
         return rust.fly(config)
     flown = copy.deepcopy(config)
-    flown.setdefault("disturbances", {})["wind_estimate"] = dict(errors)
+    if errors is not None:
+        flown.setdefault("disturbances", {})["wind_estimate"] = dict(errors)
     flight = rust.Flight(flown)
+    behind = Behind(flown, lag)
     while not flight.has_ended:
-        seen = flight.measurement
-        if in_wake(np.asarray(seen.wind), np.asarray(seen.state.base_rotation), forward):
-            seen = seen._replace(wind=WAKE * np.asarray(seen.wind))
-        flight.step(measurement=seen)
+        seen = None
+        if errors is not None:
+            seen = flight.measurement
+            if in_wake(np.asarray(seen.wind), np.asarray(seen.state.base_rotation), forward):
+                seen = seen._replace(wind=WAKE * np.asarray(seen.wind))
+        flight.step(measurement=seen, link_forces=behind.forces(flight.truth) if lag > 0.0 else None)
     return flight.result()
+
+
+class Behind:
+    """Forces that follow those of a flight's air with a time constant [s]: lag · ḟ = F − f, as implicit Euler has it."""
+
+    def __init__(self, config: rust.Config, lag: float) -> None:
+        self._robot, self._air = rust.Robot(config["robot"]), config["simulator"]["aero"]
+        step = config["controller"]["time_step"]
+        self._share = step / (step + lag)
+        self._forces: Array | None = None
+
+    def forces(self, truth: Any) -> Array:
+        """Return the forces in this tick (links, 3) [N, inertial axes]."""
+        due = rust.link_forces(self._robot, self._air, truth.state, truth.wind)
+        last = due if self._forces is None else self._forces
+        self._forces = last + self._share * (due - last)
+        return self._forces
