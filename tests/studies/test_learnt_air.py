@@ -105,6 +105,24 @@ def test_a_model_is_judged_by_its_wrench_and_in_flight_and_the_true_air_errs_in_
     assert none["rotation [degree]"] > 2.0 * true["rotation [degree]"]
 
 
+def test_forces_that_lag_are_behind_those_of_the_air_by_a_time_constant(robot):
+    gust = {"profile": "gust", "velocity": [0.0] * 3, "gust": [0.0, -10.0, 0.0], "start": 0.5, "duration": 2.0}
+    config = rust.load_config("test2", {"simulator.duration": 1.5, "wind": gust})
+    forward = np.asarray(robot.forward_axis)
+    exact, late = (worlds.fly(config, None, forward, lag).log["aero_force_sim"].sum(1)[:, 1] for lag in (0.0, 0.1))
+    assert late[80] / exact[80] < 0.5
+    rise = 10.0 * np.diff(late)  # lag · ḟ, of a lag of ten ticks
+    np.testing.assert_allclose(rise[60:90], (exact - late)[61:91], rtol=0.01)  # as long as both robots move alike
+
+
+def test_a_recommended_controller_flies_with_a_network_and_in_an_air_without_derivatives(robot):
+    """Its plan then holds the forces constant, with every model."""
+    spheres = worlds.air_of("spheres", robot, None)
+    for law in ("robot", "mk3_robot"):
+        for model in (rust.load_config(law)["controller"]["aero"], spheres):
+            assert worlds.judging(law, "gust", 1, 0, spheres, model)["controller"]["mpc"]["air"] == "constant"
+
+
 def test_the_picture_has_a_line_for_each_kind_and_model_and_the_levels_beside_them():
     kinds, minutes = ["mission", "hover"], [2.0, 4.0]
     error = np.arange(12.0).reshape(2, 2, 3)

@@ -263,7 +263,7 @@ def _cells(
             (folder / file).write_bytes(cards[file])
         for key, (force, moment) in kept["wrench"].items():
             summary[f"wrench, {anemometer}, {key}"] = {"force [N]": force, "moment [N m]": moment}
-        models = {"nominal": nominal} | {
+        models: dict[str, Mapping[str, Any]] = {"nominal": nominal} | {
             key: worlds.card(folder / f"{key}_{anemometer}.json") for key in ("refit", "learnt")
         }
         models |= {"true": air}

@@ -192,7 +192,7 @@ def fly(config: rust.Config, errors: Mapping[str, Any] | None, forward: Array, l
 
 
 class Behind:
-    """Forces that follow those of a flight's air with a time constant [s]: lag · ḟ = F − f, as implicit Euler has it."""
+    """Forces f that follow those F of a flight's air: lag · ḟ = F − f, by implicit Euler steps of a tick."""
 
     def __init__(self, config: rust.Config, lag: float) -> None:
         self._robot, self._air = rust.Robot(config["robot"]), config["simulator"]["aero"]
