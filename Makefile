@@ -42,10 +42,8 @@ LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_f
 # Folders of `make test`, and the others. Pinocchio, one of the independent implementations, needs 400 MB.
 CORE := tests/golden tests/parity tests/gradients tests/references
 PINOCCHIO := tests/parity/test_dynamics_pinocchio.py
-# Shipped files with everything that can be done with them: each once in `make test`; `JAX_PAIRS=` leaves out what JAX
-# can do, which takes half an hour.
+# Shipped files with everything that can be done with them: each once in `make test`.
 EACH := tests/matrix/test_each.py
-JAX_PAIRS := tests/matrix/test_jax_pairs.py
 OTHERS := $(filter-out $(CORE) tests/matrix tests/__pycache__,$(patsubst %/,%,$(wildcard tests/*/))) $(PINOCCHIO)
 PYTEST = MEASURED="$(MEASURED)" $(JAX_CACHE) $(ONE_THREAD) $(LEAST_OPTIMISED) $(BIN)/python -m pytest $(PARALLEL)
 
@@ -130,7 +128,7 @@ test: ## test the crate, and its agreement with JAX, CasADi and MuJoCo
 	$(PYTEST) $(CORE) $(EACH) --ignore=$(PINOCCHIO)
 
 test-all: test $(PACKAGES) ## run every test: commands, studies, viewer, training, documents too
-	$(PYTEST) $(OTHERS) tests/matrix/test_pairs.py $(JAX_PAIRS)
+	$(PYTEST) $(OTHERS) $(filter-out $(EACH),$(wildcard tests/matrix/test_*.py))
 
 portability: $(TESTING) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)

@@ -68,6 +68,7 @@ def test_gradient_of_a_plan(check_gradient):
         check_gradient(plan, {"weights": at, "linear": linear}, some, tolerance=1e-5)
 
 
+@pytest.mark.slow
 def test_slopes_of_a_flight(measured):
     """Of the errors of position and attitude after a gust, by each weight on its own, and by the decay of the tail."""
     scenario, start = prepared()

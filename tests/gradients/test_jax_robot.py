@@ -52,6 +52,7 @@ def fly(at):
     return cost(np, flight)
 
 
+@pytest.mark.slow
 def test_gradient_of_a_second_of_a_robot():
     scenario, start = sim.prepare(configured(AT))
     plant, controller, model = scenario.plant, scenario.controller, scenario.controller_model

@@ -52,7 +52,10 @@ def test_the_guard_does_nothing_while_nothing_fails(name):
         np.testing.assert_array_equal(guarded[signal], free[signal], err_msg=signal)
 
 
-@pytest.mark.parametrize("name", OF_EVERY_KIND)
+# iRonCub-Mk3's flights compile for two minutes each.
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name.startswith("mk3") else name for name in OF_EVERY_KIND]
+)
 def test_jax_flies_as_the_guarded_crate(name, fly_both):
     """Into a wind that rises at once; networks in double precision."""
     table = rust.load_config(name)

@@ -24,6 +24,7 @@ from jax_aero.types import State, pytree
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.slow
 def test_a_flight_of_50_s(fly_both):
     """Every signal at every tick to 1e-6, and the same figures of merit."""
     _, ours = fly_both(rust.load_config("test2"))
@@ -294,7 +295,7 @@ RISING = {
 }
 
 
-@pytest.mark.parametrize("name", ["mk3_test2", "mk3_test2_mpc"])
+@pytest.mark.parametrize("name", ["mk3_test2", pytest.param("mk3_test2_mpc", marks=pytest.mark.slow)])
 def test_another_robot_whose_thrusts_are_at_their_least(name, fly_both):
     """IRonCub-Mk3 rises too fast; 4 m/s would amplify a rounding of the start to 1e-4 N m in 0.4 s in either engine."""
     changes = {"simulator.duration": 0.2} | RISING

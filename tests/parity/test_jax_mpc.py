@@ -254,6 +254,7 @@ def test_a_plan_is_the_least_of_its_cost_by_its_search_on_the_way(x64, monkeypat
     assert not any(find(ahead) for ahead in cases)
 
 
+@pytest.mark.slow
 def test_flights_of_a_batch_that_began_at_other_ticks_fly_as_each_alone(x64):
     """In each tick of the batch a plan is due in one flight or none."""
     scenario, start = prepare(rust.load_config("robot"))

@@ -17,6 +17,7 @@ def test_the_page_lists_every_program():
     assert [name for name in PROGRAMS if f"(examples/{name}.py)" not in page] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(PROGRAMS.keys() - LONG))
 def test_an_example_runs_and_is_short(name):
     assert len(PROGRAMS[name].read_text(encoding="utf-8").splitlines()) <= 30

@@ -91,6 +91,7 @@ def test_every_block_says_how_it_is_tried(page):
                 exec(compile(ast.Module(imports, []), page.name, "exec"), {})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if tried(page)], ids=name)
 def test_the_recipes_of_a_page_run(page, tmp_path):
     clone = tmp_path / "jax-aero"

@@ -60,6 +60,7 @@ def test_a_shipped_controller_keeps_its_copy(name):
     assert found.stays == (name not in STANDING), found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_flight_replayed_from_rounded_measurements_has_its_torques(name):
     """To its end, every measurement times 1 + 1e-15 N(0, 1): none of a robot that hovers is an exception."""
