@@ -1,8 +1,8 @@
 """Measure parts of a JAX flight and their gradients in one run: `python -m experiments.tools.bench_jax`.
 
-Processor times are per sample of a batch, in double precision, on JAX's default device, the least of turns in which
-all that is measured runs once: so ratios hold beside other programs. Compilation is cold or from JAX's persistent
-cache; its memory are the temporaries of a program, per sample of the greatest batch. States are those of TEST2, and of
+Times are of the processor, per sample of a batch, in double precision, on JAX's default device, the least of turns in
+which all that is measured runs once: so ratios hold beside other programs. Compilation is cold or from JAX's
+persistent cache; its memory are the temporaries of a program, per sample of the greatest batch. States are those of TEST2, and of
 `robot`, hovering in the full wind; episodes out of step plan at different ticks. `mjx.step` steps TEST2's robot from
 the same states without forces: without constraints, and with joint stops, which our tick has too. Prints a Markdown
 table, and stores with `--store` what the greatest batch takes (`docs/results/bench_jax.json`).
@@ -124,7 +124,7 @@ def _store(
     found = {}
     for each in measured:
         taken = times[each.case.name][size]
-        found[each.case.name] = {UNIT: 1e6 * taken, "temporaries [kB]": each.memory(size), "compile [s]": each.cold}
+        found[each.case.name] = {UNIT: 1e6 * taken, "temporaries [kB]": each.memory(size), "to compile [s of processor time]": each.cold}
         found[each.case.name] |= {} if base is None else {RATIO: taken / base[size]}
     about = f"{manifest.device()['cpu']}; batch of {size}; double precision; jax {jax.__version__}"
     keep.benchmark(NAME, TITLE, about, " ".join(["python -m experiments.tools.bench_jax", *words]), found)
@@ -170,10 +170,10 @@ def _row(each: Measured, sizes: Sequence[int], times: dict[int, float], base: di
 
 
 def _compile(case: Case, sample: Any) -> tuple[Any, float]:
-    started = time.perf_counter()
+    started = time.process_time()
     batched: Any = jax.vmap(case.function, in_axes=(None, 0))
     compiled = jax.jit(batched, compiler_options=dict(case.options)).lower(case.shared, sample).compile()
-    return compiled, time.perf_counter() - started
+    return compiled, time.process_time() - started
 
 
 def _spread(samples: Sequence[Any], size: int) -> Any:
