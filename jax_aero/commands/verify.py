@@ -9,7 +9,7 @@
     jax-aero verify --config engine_out_mpc            # what JAX does not fly to the end: its law
     jax-aero verify --all --quick --set simulator.duration=1   # every shipped flight, and what none of them executes
 
-Prints a table, writes it, and exits with status 1 if anything disagrees. States and ticks are compared
+Prints a table in the end, writes it, and exits with status 1 if anything disagrees. States and ticks are compared
 relative to the largest entry of the crate's results, or with its rounding where terms cancel; the flight from its start
 by the absolute difference of every logged signal, as far as it can be reproduced. A result of the same files and
 options is replaced, that of others only with --overwrite.
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -86,12 +87,16 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
     _check_replaceable(folder, facts, overwrite=options.overwrite)
     robot, findings, sides = options.robot if config is None else config["robot"], {}, list[Sides]()
     with jax.enable_x64(True), watch_lines() as ran:
+        _say(f"kinematics and dynamics of {options.states} random states")
         rows = verify_robots(robot, options.states, options.dynamics, options.seed)
         if config is not None:
             if compared(config) == "tick":
+                _say("every value of ticks from these states")
                 samples = random_samples(config, options.states, options.seed)
                 rows += verify_ticks(config, samples, sides) + verify_held(config, samples, sides)
+                _say("every tick of the flight, then the flight from its start")
                 flight = verify_flight(config, options.dynamics)
+                _say("two flights in which everything acts; engines, set-points, winds and limits by themselves")
                 of_everything, everything = verify_everything()
                 rows += flight.rows + of_everything
                 flights = [flight.sections, *(of.sections for of in everything)]
@@ -102,6 +107,7 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
                     "not reached": ["not examined"] if options.quick else unreached(flown, everything),
                 }
             else:
+                _say("the law in every tick of the crate's flight")
                 of_law, share = verify_law(config)
                 rows += of_law
                 findings = {
@@ -114,6 +120,7 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
             all_sides.append(merged(sides))
             library, reason = options.library or find(), why_not(config)
             if library is not None and reason is None:
+                _say("the C library")
                 rows += verify_library(config, library)
             findings["C library"] = f"not compared: {reason}" if reason else str(library or f"not built: {BUILD}")
     print(table(rows))
@@ -124,6 +131,11 @@ def _compare(options: argparse.Namespace, lines: set[tuple[str, int]], all_sides
     print("\n" + _lines(findings | shown))
     print(f"{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
     return 1 if bad else 0
+
+
+def _say(what: str) -> None:
+    """Name what is compared next, which takes from seconds to half an hour, beside what is printed in the end."""
+    print(f"comparing {what} ...", file=sys.stderr, flush=True)
 
 
 def _subject(options: argparse.Namespace, config: rust.Config | None) -> tuple[Path, dict[str, Any]]:
