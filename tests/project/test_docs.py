@@ -109,6 +109,7 @@ def test_pictures_and_folders_of_the_readme_exist():
         assert any(ROOT.glob(path)), path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(DOCS.glob("notebooks/*.ipynb")), ids=name)
 def test_a_notebook_runs(path, tmp_path, monkeypatch):
     monkeypatch.setenv("PIP_NO_INDEX", "1")  # what a notebook installs is there

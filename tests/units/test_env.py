@@ -158,6 +158,7 @@ def test_both_environments_are_one_task(x64, tmp_path):
     assert float(after.reward[0]) == 0.0
 
 
+@pytest.mark.slow
 def test_the_robot_that_we_recommend_is_one_task_in_both_environments(x64, tmp_path):
     """Drives, sub-steps, late commands, sensors and engines in the law: four ticks with drawn actions, in two winds.
 

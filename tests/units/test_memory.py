@@ -77,6 +77,7 @@ def test_a_flight_replayed_from_rounded_measurements_has_its_torques(name):
     assert (apart <= TORQUE) == (name not in APART), apart
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mk3_robot", "mk3_design"])
 def test_verify_can_compare_every_tick_with_each_side_keeping_its_own_memory(name):
     """To the end: no detector acts, and the crate's own replay from rounded measurements is the flight."""
