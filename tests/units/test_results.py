@@ -149,8 +149,8 @@ def test_a_damaged_table_of_a_finished_sweep_is_refused(tmp_path):
 
 
 def test_a_damaged_result_of_a_flight_is_refused_and_flown_again(flown, tmp_path, capsys):
-    assert main(["fly", "test1", "--out", str(tmp_path / "flight")]) == 0
-    path = tmp_path / "flight" / "test1" / "run.nc"
+    assert main(["fly", "test1", "--out", str(tmp_path)]) == 0
+    path = tmp_path / "test1" / "run.nc"
     path.write_bytes(path.read_bytes()[:-1])
     assert main(["fly", "test1", "--out", str(tmp_path)]) == 2
     assert "run.nc is not what was written there; --overwrite makes it again" in capsys.readouterr().err
