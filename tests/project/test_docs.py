@@ -158,6 +158,7 @@ def test_a_picture_has_its_text_below():
     assert hooks.on_page_content(f"<p>{image}</p>") == f"<figure>{image}<figcaption>A fall</figcaption></figure>"
 
 
+@pytest.mark.slow
 def test_the_flight_lab_is_in_the_site_where_it_is_built(tmp_path, monkeypatch):
     monkeypatch.setattr(hooks, "LAB", tmp_path)
     assert "iframe" not in hooks.embedded_lab("look/")
@@ -178,6 +179,7 @@ def site(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_page_of_the_python_api_has_every_public_name(site):
     page = (site / "api/python/index.html").read_text(encoding="utf-8")
     shown = []
@@ -218,6 +220,7 @@ CUT = """() => [...(document.querySelector("article") ?? document.body).querySel
 ).map(e => `${e.scrollWidth} of ${e.clientWidth} px: ${e.outerHTML.slice(0, 80)}`)"""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 def test_pages_fit_the_screen(site):
     """Of a desk, of a tablet and of a telephone, in light and in the dark."""

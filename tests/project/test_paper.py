@@ -171,6 +171,7 @@ def test_what_agrees_without_a_measurement_names_the_test_that_holds_it():
                 assert named.startswith("by construction: "), named
 
 
+@pytest.mark.slow
 def test_without_studies_nothing_of_the_table_names_one(monkeypatch):
     """As if the folders of all studies were deleted: figures of studies are not there either."""
     monkeypatch.setattr(studies, "names", list)
@@ -235,6 +236,7 @@ def test_commands_name_what_exists():
                 assert rest[0] != "trim" or rest[2:] == ["--map"], command  # without --map it leaves no result
 
 
+@pytest.mark.slow
 def test_claims_of_single_flights_are_those_of_the_code(tmp_path, capsys):
     """The crate computes the same bits everywhere, so what it flew once it flies again."""
     alone = {key: one for key, one in CLAIMS.items() if [command.split()[0] for command in one.commands] == ["fly"]}

@@ -42,6 +42,7 @@ def test_weak_engines_end_no_fall(fall):
     assert fall.solve(1.0, 0.7)[0].height != fall.solve(1.0, 0.7)[0].height
 
 
+@pytest.mark.slow
 def test_a_fall_ends_within_the_limits_of_a_landing(fall):
     landing, found = fall.solve(1.0, 1.0)
     path = found[: fall.size * 5].reshape(5, fall.size)
@@ -50,6 +51,7 @@ def test_a_fall_ends_within_the_limits_of_a_landing(fall):
     assert float(fall.upright(path[-1])) >= np.cos(falls.LEAN_MAX) - 1e-6
 
 
+@pytest.mark.slow
 def test_strong_and_fast_engines_lose_no_height_and_gain_none(fall):
     """Where climbing first is allowed the end is 168 m above the start."""
     _, found = fall.solve(1.0, 1.0)
@@ -57,6 +59,7 @@ def test_strong_and_fast_engines_lose_no_height_and_gain_none(fall):
     assert 0.0 <= landing.height < 0.1
 
 
+@pytest.mark.slow
 def test_a_touchdown_is_on_the_ground_and_within_what_the_flight_reaches():
     """From 1 m without any thrust it is 4.4 m/s."""
     flight, time = height_lost.losses_of(ASKED, rust.load_config("robot"))["hover at 1 m"]

@@ -56,6 +56,7 @@ def test_states_of_a_mission_are_those_in_the_air():
     assert float(abs(states["lean"]).max()) < 5.0
 
 
+@pytest.mark.slow
 def test_a_mission_is_outside_where_the_map_says_so(monkeypatch):
     """Arm engines land everywhere, chest engines nowhere."""
 

@@ -135,6 +135,7 @@ def learnt_of(deviations):
     return ppo.Learnt(zero_policy, jnp.log(jnp.array(deviations)), zero_value)
 
 
+@pytest.mark.slow
 def test_ppo_holds_a_mass_against_a_force(tmp_path):
     found = ppo.trainer(Spring(), SETTINGS).train(0, checkpoint=tmp_path / "c", digest="a")
     network = ppo.network_of(Spring(), SETTINGS)

@@ -53,6 +53,7 @@ def plan(climb):
         return climb.solve()
 
 
+@pytest.mark.slow
 def test_it_goes_where_it_was_sent_and_rests_there(climb, plan):
     config = climb.config
     assert plan.success, plan.message

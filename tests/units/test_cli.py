@@ -94,6 +94,7 @@ print([cli.main(words.split()) for words in ("fly --list", "sweep --list", "stud
 """
 
 
+@pytest.mark.slow
 def test_without_a_checkout_commands_work_beside_packages_of_a_user_that_have_the_names_of_its_folders(tmp_path):
     """As from a wheel; what needs a checkout says so."""
     site, here = tmp_path / "site", tmp_path / "here"

@@ -41,6 +41,7 @@ def test_gymnasium_finds_no_fault():
     check_env(HoverEnv(Task(duration=0.2)), skip_render_check=True)
 
 
+@pytest.mark.slow
 def test_an_environment_multiplies_at_full_precision():
     """A GPU would round the factors to ten bits; there a flight and its observation would differ from a processor's."""
     env = FlightEnv(Task(duration=0.1))
@@ -93,6 +94,7 @@ def test_without_a_residual_the_controller_flies_as_it_does():
     measured("base after 50 ticks [m]", np.abs(hover._flight.truth.state.base_position - flown).max(), 1e-12)
 
 
+@pytest.mark.slow
 def test_both_environments_are_one_task(x64, tmp_path):
     """Six ticks with drawn actions: observations and rewards, in the environment of JAX and in that of the crate.
 
@@ -604,6 +606,7 @@ def test_a_turbulent_wind_is_drawn_anew(x64):
     assert hover._config["wind"]["std"] == pytest.approx(np.linalg.norm(hover._wind) * np.array([0.2, 0.2, 0.1]))
 
 
+@pytest.mark.slow
 def test_a_curriculum_changes_winds_and_numbers(x64):
     env = FlightEnv(Task(steering="rates"))
     winds = lambda most: jax.vmap(env.at(wind_max=most).draw_wind)(jax.random.split(jax.random.key(0), 50))  # noqa: E731
@@ -627,6 +630,7 @@ def test_drawn_disturbances_fly_in_both(x64):
     assert disturb(config, 1, 1)[0]["disturbances"] == config["disturbances"]
 
 
+@pytest.mark.slow
 def test_a_mission_is_tracked_with_engines_that_lag(x64):
     config = load_config("test1", {"simulator.jets": {"dynamics": "throttled"}})
     ours, twin, _ = both(Task(tracking=True), drawn=[config])
@@ -673,6 +677,7 @@ def playground():
     return lambda env, length: wrapper.wrap_for_brax_training(env, episode_length=length, action_repeat=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrap", [AutoReset, playground])
 def test_wrappers_restart_it(wrap):
     """Two episodes of three ticks, of robots whose controllers have other masses: a restart is the first state."""

@@ -194,6 +194,7 @@ def test_joint_velocities_pass_a_first_order_low_pass():
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_robot_with_free_joints_stands_still_for_a_minute():
     """No friction holds it: within 1 mm once the start of f_c*, which has no moment about x, has settled.
 
@@ -432,6 +433,7 @@ def test_a_run_is_recorded_and_measured(frontal, tmp_path):
     assert found["is_carried"]
 
 
+@pytest.mark.slow
 def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
     robot = rust.Robot(standing()["robot"])
     for name in ("balancing_front_as_flown", "balancing_lateral_as_flown"):

@@ -95,6 +95,7 @@ def errors_of(model, prior, truth, monkeypatch):
     return found, dict(zip(names, zip(error, found.share[free], strict=True), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_every_number_is_recovered_from_a_made_log(sparrow, monkeypatch):
     """Without noise the truth is found, of all numbers at once, to a twentieth of what was known before."""
@@ -401,6 +402,7 @@ def test_a_drawn_robot_differs_in_what_its_file_does_not_state():
     rust.resolve_config(config)
 
 
+@pytest.mark.slow
 def test_from_a_log_to_a_flight(tmp_path, monkeypatch):
     """A flight of the platform is identified, and the robot that this makes flies by its name."""
     monkeypatch.setattr(places, "RESULTS", tmp_path)

@@ -98,6 +98,7 @@ JUMPING = ("velocities in mm/s",)
 """Those of which too little is left."""
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_a_log_of_the_files_robot_is_explained(flown):
     known, _ = identified(*flown)
@@ -106,6 +107,7 @@ def test_a_log_of_the_files_robot_is_explained(flown):
     assert known.left_out == {}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_log_is_not_explained_and_the_mistake_is_named(flown, name):
@@ -124,6 +126,7 @@ def test_a_wrong_log_is_not_explained_and_the_mistake_is_named(flown, name):
         assert name in found
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_a_log_without_an_anemometer_has_a_wind_to_find(flown):
     """Still air would be 2 m/s off; of a robot that hardly drifts the wind is found from small forces."""

@@ -18,6 +18,7 @@ np.testing.assert_allclose(flown["base_position"], rust.fly(config)["base_positi
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{"JAX_DEBUG_NANS": "True"}, {"JAX_ENABLE_X64": "True"}])
 def test_a_sound_flight_is_sound(settings):
     words = [sys.executable, "-c", FLY]

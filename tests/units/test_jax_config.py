@@ -66,6 +66,7 @@ def test_the_tree_of_bodies():
     assert np.array_equal(ancestors_of(parent), np.array(expected, bool))
 
 
+@pytest.mark.slow
 def test_importing_and_flying_change_no_global_setting():
     """Compiled without optimisation, which takes half the time."""
     code = (

@@ -111,6 +111,7 @@ def test_the_flights_have_every_part():
     assert found == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", EVERYTHING)
 def test_a_tick_of_many_flights(experiment):
     """The whole closed loop: controller, both QPs, plant, jets."""

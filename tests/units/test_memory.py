@@ -53,6 +53,7 @@ def test_every_controller_has_a_flight():
         assert rust.load_controller(name) in flown, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_controller_keeps_its_copy(name):
     """It hovers, or stands; one that does not is listed."""

@@ -25,6 +25,7 @@ def is_made_up(run: str) -> bool:
 DRAWN = [name for name, entry in FIGURES.items() if entry.kind in ("", "flight") and all(map(is_made_up, entry.runs))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRAWN)
 def test_every_figure_is_drawn_as_pdf_and_png_and_names_its_runs(name, made_up_results, tmp_path):
     is_of_any = FIGURES[name].kind == "flight" and not FIGURES[name].runs
@@ -40,6 +41,7 @@ def test_every_figure_is_drawn_as_pdf_and_png_and_names_its_runs(name, made_up_r
             assert f"{run} config {run.encode().hex()}" in picture.info["Description"]
 
 
+@pytest.mark.slow
 def test_the_runs_of_a_figure_can_be_chosen(made_up_results, tmp_path):
     arguments = ["fig5", "--runs", "test2", "test1_published"]
     arguments += ["--results", str(made_up_results), "--out", str(tmp_path)]
@@ -50,6 +52,7 @@ def test_the_runs_of_a_figure_can_be_chosen(made_up_results, tmp_path):
     assert (tmp_path / "fig5.png").is_file()
 
 
+@pytest.mark.slow
 def test_flights_of_any_folder_are_drawn_beside_each_other(made_up_results, tmp_path, capsys):
     words = ["compare", "--results", str(made_up_results), "--out", str(tmp_path), "--runs", "test1_published"]
     words.append(str(made_up_results / "flight" / "test2"))

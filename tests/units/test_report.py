@@ -135,6 +135,7 @@ def results(tmp_path, whole) -> Results:
     return Results(shutil.copytree(whole, tmp_path, dirs_exist_ok=True))
 
 
+@pytest.mark.slow
 def test_a_claim_has_the_commit_of_the_last_result_that_it_was_measured_on(results, tmp_path):
     for name, day, commit in (("test2", 1, "a" * 40), ("test4", 2, "b" * 40), ("test1", 3, "c" * 40)):
         made = {"created": f"2026-01-0{day}T00:00:00+00:00", "git": {"commit": commit, "dirty": False}}
@@ -155,6 +156,7 @@ def find(results):
     return {key: claim.find(results) for key, claim in paper.all_claims().items()}
 
 
+@pytest.mark.slow
 def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims_that_rest_on_it(results):
     config = rust.load_config("test2", {"wind.velocity": [0.0, 5.0, 0.0], "simulator.duration": 9.0})
     entries = {"config_digest": rust.config_digest(config), "config": manifest.make_portable(config)}
@@ -173,6 +175,7 @@ def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims
     assert "** outdated" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["flight/test2/manifest.json", "sweeps/paper_tests/sweep.json"])
 def test_a_result_of_other_numerics_is_refused(results, kind, tmp_path, capsys):
     """The judge of the judges: nothing that it says counts, and the page and the exit status say so."""
@@ -195,6 +198,7 @@ def test_a_flight_of_another_file_that_it_names_is_outdated(results):
     assert outdated.flight("no_shipped_name", identity_of(rust.load_config("test1")).facts) == ""
 
 
+@pytest.mark.slow
 def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
     assert ANOTHER[1:] not in report(results, {})
     for name in ("paper_tests", "ablation_terms"):
@@ -262,6 +266,7 @@ def test_a_sweep_with_flights_that_could_not_be_flown_decides_no_claim(results):
         assert claim.measured == "2 flights of `jax-aero sweep paper_tests` could not be flown"
 
 
+@pytest.mark.slow
 def test_a_judge_that_fails_is_an_error_and_keeps_no_older_verdict(results, tmp_path, capsys):
     """As on a sweep that was flown before a level was renamed."""
     for name in ("paper_tests", "ablation_terms"):

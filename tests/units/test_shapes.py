@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from jax_aero.base.places import HOME
 
 KINDS = {"Bool", "Float", "Int", "Key", "Shaped"}
@@ -44,6 +46,7 @@ def _is_bare(hint):
     return getattr(hint, "id", None) == "Array" or any(_is_bare(part) for part in ast.iter_child_nodes(hint))
 
 
+@pytest.mark.slow
 def test_the_shapes_hold_where_flights_and_aerodynamic_models_are_traced():
     options = {"JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
     done = subprocess.run(

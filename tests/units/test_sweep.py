@@ -973,6 +973,7 @@ def kill_one_worker(mark: str, killed: list[int], addresses: set[str]) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_ray_cluster_gives_the_same_bytes_also_where_a_worker_is_killed(tmp_path, capsys, monkeypatch):
     ray = pytest.importorskip("ray", reason="ray is not installed: make setup")
@@ -996,6 +997,7 @@ def test_a_ray_cluster_gives_the_same_bytes_also_where_a_worker_is_killed(tmp_pa
     assert read(tmp_path / "quick") == read(tmp_path / "here" / "quick")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_of_a_worker_that_is_killed_its_one_job_is_done_again(tmp_path):
     pytest.importorskip("ray", reason="ray is not installed: make setup")

@@ -207,6 +207,7 @@ def test_the_same_results_give_the_same_bytes(tmp_path):
     assert pictures[0] == pictures[1]
 
 
+@pytest.mark.slow
 def test_all_draws_what_there_is_and_counts_what_is_missing(tmp_path, capsys):
     write(tmp_path / "sweeps", SWEEPS[0], "levels", ["world", "terms"])
     assert draw(tmp_path, "--stale", name="all") == 0

@@ -60,6 +60,7 @@ def first_tick():
     return fly
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_row", [False, True])
 def test_it_adds_its_square_to_the_cost(first_tick, is_row, measured):
     """½ w (u_k − v)² adds w to one entry of H and −w v to one of g."""

@@ -33,6 +33,7 @@ from jax_aero.verify.flight import compare_ticks, fly_sections, join, replay_rou
 pytestmark = pytest.mark.usefixtures("x64")
 
 
+@pytest.mark.slow
 def test_what_no_tick_of_a_flight_reaches_is_refused(monkeypatch):
     """Six faults with which TEST2 agreed in all of its ticks."""
     config = rust.load_config("test2", {"simulator.duration": 2.0})

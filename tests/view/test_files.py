@@ -131,6 +131,7 @@ def test_a_video_ends_where_the_flight_ends(seen, agree):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_can_draw")
 def test_a_snapshot_shows_robot_forces_thrusts_and_wind(fallen, tmp_path):
     several, one, before = (tmp_path / f"{name}.png" for name in ("several", "one", "before"))

@@ -213,6 +213,7 @@ def test_every_choice_of_the_predictive_law_is_a_flight(air, arms):
     rust.check_config(found)
 
 
+@pytest.mark.slow
 def test_it_is_small_and_asks_for_nothing(visit, built):
     files = {path.name: path.read_bytes() for path in built.iterdir()}
     assert set(files) == {"index.html"}
@@ -248,6 +249,7 @@ def test_the_papers_flights_are_those_of_the_crate(visit):
     assert page.complaints == []
 
 
+@pytest.mark.slow
 def test_every_scene_plays_and_proves_its_number(visit):
     page = visit()
     numbers = []
@@ -402,6 +404,7 @@ def center(box: dict[str, float]) -> tuple[float, float]:
     return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
 
 
+@pytest.mark.slow
 def test_an_exported_flight_plays_as_one_file(browser, built, fallen, tmp_path):
     out = tmp_path / "fall.html"
     assert commands.main(["export", str(fallen), "--html", "--ghost", str(fallen), "--out", str(out)]) == 0

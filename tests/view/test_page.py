@@ -71,6 +71,7 @@ def short_flight(name: str, seconds: float, **changes: Any) -> Recording:
     return recording.from_flight(rust.fly(config), config, name)
 
 
+@pytest.mark.slow
 def test_a_result_is_played_and_measured_beside_a_second_one(visit, fallen):
     seen = recording.read(fallen)
     page = visit([seen, replace(seen, title="another")])
@@ -95,6 +96,7 @@ def test_a_result_is_played_and_measured_beside_a_second_one(visit, fallen):
     assert page.complaints == []
 
 
+@pytest.mark.slow
 def test_a_result_flies_anew_and_a_flight_is_kept_as_a_ghost(visit, fallen):
     seen = recording.read(fallen)
     page = visit([seen])
@@ -166,6 +168,7 @@ def test_another_robot_flies_and_one_without_configuration_is_played(visit, stan
     assert alone.complaints == []
 
 
+@pytest.mark.slow
 def test_what_is_not_wanted_is_hidden_and_the_camera_can_stand(visit, fallen):
     seen = recording.read(fallen)
     page = visit([seen, replace(seen, title="another")])

@@ -205,6 +205,7 @@ def test_a_file_of_something_else_is_refused(tmp_path):
         recording.read(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_result_without_its_robot_asks_for_it(made_up_results):
     folder = made_up_results / "flight" / "test1"
     with pytest.raises(Refused, match="--robot FILE"):
