@@ -79,6 +79,7 @@ def test_the_shipped_ensemble_has_the_listed_networks(ironcub):
         assert shipped.activation == listed.activation
 
 
+@pytest.mark.slow
 def test_networks_predict_postures_that_they_have_not_seen(
     made_up_dataset, ironcub, tmp_path, monkeypatch, capsys, agree
 ):

@@ -197,6 +197,7 @@ def learnt(results, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_the_card_flies_and_says_that_single_links_are_not_determined(learnt, robot):
     card = json.loads((learnt / "air.json").read_text())
     assert "forces of single links are not determined" in card["training"]["note"]
@@ -224,6 +225,7 @@ def test_the_result_names_the_flights_held_out_and_what_each_model_leaves(learnt
     assert "unknown: wind from" in text
 
 
+@pytest.mark.slow
 def test_a_finished_result_is_not_trained_again_and_another_is_not_replaced(results, learnt, capsys):
     words = ["train", "flights", *results, *OPTIONS, "--out", str(learnt)]
     assert main(words) == 0
@@ -231,6 +233,7 @@ def test_a_finished_result_is_not_trained_again_and_another_is_not_replaced(resu
     assert main([*words, "--set", "seed=7"]) != 0
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_goes_on(results, learnt, tmp_path, monkeypatch):
     """The loop stops after two epochs; the same command ends with the same bits."""
     whole, fit = (learnt / "air.safetensors").read_bytes(), command.fit

@@ -182,6 +182,7 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_numbers(tmp_path):
     assert jax.tree.all(jax.tree.map(np.array_equal, again.parameters, whole.parameters))
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_another_training_does_not_count(tmp_path):
     """Of another seed, setting, network or digest; one with fewer steps does, and goes on."""
     few = Settings(steps=2, batch=2, ticks=5, hidden=(2,))

@@ -82,6 +82,7 @@ def test_a_network_may_be_of_another_robot():
         config.read(path, robot)
 
 
+@pytest.mark.slow
 def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_dataset, agree):
     document = json.loads((result / "training" / "compact" / "manifest.json").read_text())
     assert document["dataset"] == made_up_dataset.add_mirror_images().sha256
@@ -129,6 +130,7 @@ def test_a_card_says_whose_data_they_are(made_up_dataset, source, words):
     assert words in facts["note"]
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_from_the_result(result, tmp_path):
     flights = ["--results", str(result), "--out", str(tmp_path)]
     assert draw(["fig4_network", "training", *flights]) == 0
@@ -390,6 +392,7 @@ def test_a_trial_whose_network_diverges_has_an_infinite_error(search, made_up_da
     assert search.error_of(search.replace_keys(path, tables.read(path), changes), made_up_dataset, settings) == np.inf
 
 
+@pytest.mark.slow
 def test_another_robot_is_trained_on_its_own_joints_and_links(tmp_path):
     """iRonCub-Mk3 has links that iRonCub-Mk1 lacks, and ankles that move one of them."""
     robot = places.find("robot", "ironcub_mk3")

@@ -283,6 +283,7 @@ def test_a_kept_sweep_flies_as_it_did(name):
     assert keep.fly_again(document, cell) == document.firsts[cell], f"cell {cell}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ELSEWHERE)
 def test_a_kept_sweep_whose_bits_are_those_of_its_processor_succeeds_as_often(name):
     """By the intervals of its share and of that of some flights here, in a cell that the commit chooses."""

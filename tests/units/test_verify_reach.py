@@ -76,6 +76,7 @@ def test_a_wrong_sign_of_prismatic_joints_is_refused(monkeypatch):
     }
 
 
+@pytest.mark.slow
 def test_exchanged_gains_of_two_joints_are_refused():
     """Each joint's own posture gain acts, as the samples are away from their posture."""
     config = rust.load_config("test2_mpc")
@@ -108,6 +109,7 @@ def refused_of(flown, twin: Scenario, start) -> list[str]:
     return [row.quantity for row in rows if not row.agrees]
 
 
+@pytest.mark.slow
 def test_wrong_numbers_of_what_is_zero_in_most_flights_are_refused(flown):
     """Sensors that drift or tremble, a share of a latency, couples of rotors, a jet that fades: each by 1 %."""
     *_, scenario, start = flown
@@ -159,6 +161,7 @@ def otherwise():
             yield config, crate, replay_rounded(config, crate, crate), *prepare(config)
 
 
+@pytest.mark.slow
 def test_wrong_faults_and_limits_are_refused(otherwise):
     *_, scenario, start = otherwise
     controller, plant, joints = scenario.controller, scenario.plant, scenario.plant.joint_faults
@@ -214,6 +217,7 @@ def test_wrong_least_thrusts_are_refused(wrong, monkeypatch):
     assert refused == ["thrust"]
 
 
+@pytest.mark.slow
 def test_wrong_limits_of_set_points_are_refused(monkeypatch):
     config = rust.set_keys(rust.load_config(everything.FILE), everything.MISSION)
 
@@ -257,6 +261,7 @@ def test_wrong_winds_are_refused(profile, number, monkeypatch):
     assert [row.quantity for row in everything.verify_winds() if not row.agrees] == [profile]
 
 
+@pytest.mark.slow
 def test_wrong_commands_where_a_qp_has_no_answer_are_refused(monkeypatch):
     """The torques that are held, and an integral that goes on."""
     config = rust.load_config("test2")
@@ -307,6 +312,7 @@ ELSEWHERE = {
 """What half a second of a small robot does not reach: limits, slow set-points, zeros of its file, another failure."""
 
 
+@pytest.mark.slow
 def test_the_flight_with_everything_reaches_everything(flown):
     """Errors, delays and failures above all: a change of each shows."""
     _, crate, _, scenario, start = flown
