@@ -255,7 +255,6 @@ TO_FLY = {
     "fault_pairs",
     "robot_gap_loss",
     "robot_take_off",
-    "robot_uneven",
     "wind_humanoid_1",
 }
 """Stored sweeps of an earlier configuration, or whose flights have other bits by now, to be flown anew."""
