@@ -2,10 +2,10 @@
 
 Times are of the processor, per sample of a batch, in double precision, on JAX's default device, the least of turns in
 which all that is measured runs once: so ratios hold beside other programs. Compilation is cold or from JAX's
-persistent cache; its memory are the temporaries of a program, per sample of the greatest batch. States are those of TEST2, and of
-`robot`, hovering in the full wind; episodes out of step plan at different ticks. `mjx.step` steps TEST2's robot from
-the same states without forces: without constraints, and with joint stops, which our tick has too. Prints a Markdown
-table, and stores with `--store` what the greatest batch takes (`docs/results/bench_jax.json`).
+persistent cache; its memory are the temporaries of a program, per sample of the greatest batch. States are those of
+TEST2, and of `robot`, hovering in the full wind; episodes out of step plan at different ticks. `mjx.step` steps TEST2's
+robot from the same states without forces: without constraints, and with joint stops, which our tick has too. Prints a
+Markdown table, and stores with `--store` what the greatest batch takes (`docs/results/bench_jax.json`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ untyped: Any = jax
 Times = dict[str, dict[int, float]]
 
 NAME, TITLE = "bench_jax", "What ticks take in JAX"
-UNIT, RATIO = "[µs]", "of TEST2's tick"
+UNIT, RATIO, COMPILE = "[µs]", "of TEST2's tick", "compile [s]"
 HOVER = 1000
 """Tick of TEST2 at which the states are taken: hovering in the full wind."""
 TICKS = 20
@@ -124,7 +124,7 @@ def _store(
     found = {}
     for each in measured:
         taken = times[each.case.name][size]
-        found[each.case.name] = {UNIT: 1e6 * taken, "temporaries [kB]": each.memory(size), "to compile [s of processor time]": each.cold}
+        found[each.case.name] = {UNIT: 1e6 * taken, "temporaries [kB]": each.memory(size), COMPILE: each.cold}
         found[each.case.name] |= {} if base is None else {RATIO: taken / base[size]}
     about = f"{manifest.device()['cpu']}; batch of {size}; double precision; jax {jax.__version__}"
     keep.benchmark(NAME, TITLE, about, " ".join(["python -m experiments.tools.bench_jax", *words]), found)
