@@ -937,9 +937,9 @@ def replay(config: Mapping[str, Any], log: Mapping[str, ArrayLike]) -> dict[str,
     Parameters
     ----------
     log
-        Signals by name (`signals`), of which `time`, all `raw_*` and `foot_wrench` are read; the first axis is time. A
-        row is a tick, or, with `controller.torque.steps` > 1, a tick of the torques. NaN is not measured, as are
-        signals that are absent; foot wrenches are then zero.
+        Signals by name (`signals`), of which `time` and all `raw_*` are read; the first axis is time. A row is a tick,
+        or, with `controller.torque.steps` > 1, a tick of the torques. NaN is not measured, as are signals that are
+        absent; foot wrenches are then zero.
 
     Raises
     ------
@@ -966,7 +966,7 @@ def summarised() -> list[str]:
 
 def is_input(signal: str) -> bool:
     """Return whether `replay` reads a signal."""
-    return signal in ("time", "foot_wrench") or signal.startswith("raw_")
+    return signal == "time" or signal.startswith("raw_")
 
 
 def fly_batch(

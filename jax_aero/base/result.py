@@ -92,6 +92,7 @@ class FlightResult:
 REPEATED = {f"raw_{name}": name for name in ("base_position", "base_velocity", "joint_position", "joint_velocity")} | {
     "raw_thrust": "thrust",
     "raw_wind": "wind",
+    "raw_foot_wrench": "foot_wrench",
 }
 """Raw measurements that a file leaves out if they have the bits of another signal, as without errors of sensors."""
 

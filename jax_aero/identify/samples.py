@@ -96,8 +96,8 @@ def left_out(signals: Mapping[str, Array], robot: rust.Robot) -> dict[str, NDArr
     for name, often in (("engines idle", MOST), ("joints beyond stops", measured.OFTEN)):
         if reasons[name].mean() > often:  # then it is not the engines or joints that are wrong, but the log
             reasons[name][:] = False
-    if "foot_wrench" in flat:
-        load = np.linalg.norm(flat["foot_wrench"].reshape(time.size, -1, 6)[..., :3].sum(axis=1), axis=1)
+    if "raw_foot_wrench" in flat:
+        load = np.linalg.norm(flat["raw_foot_wrench"].reshape(time.size, -1, 6)[..., :3].sum(axis=1), axis=1)
         reasons["feet loaded"] = np.nan_to_num(load) > LOADED * robot.mass * robot.gravity
     return reasons
 
@@ -222,7 +222,7 @@ def _of_feet(signals: Mapping[str, Array], robot: rust.Robot) -> Array:
     forces = np.zeros((signals["time"].size, 6 + signals["raw_joint_position"].shape[1]))
     rotations = nearest_rotation(signals["raw_base_rotation"])  # between two rows they are interpolated
     poses = signals["raw_base_position"], rotations, signals["raw_joint_position"]
-    for row, wrenches, position, rotation, joints in zip(forces, signals["foot_wrench"], *poses, strict=True):
+    for row, wrenches, position, rotation, joints in zip(forces, signals["raw_foot_wrench"], *poses, strict=True):
         if not all(np.isfinite(part).all() for part in (position, rotation, joints)):
             row[:] = np.nan  # a row that was lost
             continue

@@ -118,7 +118,7 @@ def _measurements(flight: FlightResult) -> Iterator[_Measurement]:
     parts = ("base_position", "base_rotation", "base_velocity", "joint_position", "joint_velocity", "thrust", "wind")
     for k, time in enumerate(log["time"]):
         raw = [log[f"raw_{name}"][k] for name in parts]
-        raw += [log[name][k] if name in log else None for name in ("foot_wrench", "raw_shaft_speed")]
+        raw += [log[name][k] if name in log else None for name in ("raw_foot_wrench", "raw_shaft_speed")]
         raw.append(log["raw_height"][k : k + 1])
         yield _Measurement(
             time,

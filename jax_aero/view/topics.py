@@ -113,8 +113,9 @@ def contents(recording: Recording) -> Iterator[Content]:
         parts = [log[name] for name in ("joint_position", "joint_velocity", "joint_torque")]
         yield Content("/joint_states", "joints", lambda tick: [part[tick] for part in parts])
     wrenches = {"unmodelled": log["unmodelled_wrench"]} if "unmodelled_wrench" in log else {}
-    if "foot_wrench" in log:
-        wrenches |= {foot: log["foot_wrench"][:, index] for index, foot in enumerate(robot.foot_names)}
+    feet = log.get("foot_wrench", log.get("raw_foot_wrench"))  # a log of others has what was measured
+    if feet is not None:
+        wrenches |= {foot: feet[:, index] for index, foot in enumerate(robot.foot_names)}
     for name, rows in wrenches.items():
         yield Content(f"/wrench/{name}", "wrench", rows.__getitem__)
     for name in rust.signals():

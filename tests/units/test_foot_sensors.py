@@ -71,6 +71,21 @@ def test_feet_are_measured_late():
     assert late[1] == pytest.approx(exact[0])
 
 
+def test_a_replay_has_the_wrenches_that_the_feet_measured():
+    """Not the true ones, which the world's log has as well."""
+    errors = {"force_bias": [0.0, 0.0, 20.0], "force_noise_std": 5.0, "delay": 0.02}
+    changes = {"simulator.duration": 0.1, "simulator.sensors.feet": errors}
+    config = rust.load_config("robot_take_off", changes)
+    flown = rust.Flight(config, world=Standing(config)).run().log
+    assert np.abs(flown["raw_foot_wrench"] - flown["foot_wrench"])[..., 2].max() > 20.0
+    replayed = rust.replay(config, flown)
+    assert {"contact_force", "unmodelled_wrench", "feet_carry"} <= replayed.keys()
+    for name, signal in replayed.items():
+        np.testing.assert_array_equal(signal, flown[name], err_msg=name)
+    true = rust.replay(config, {**flown, "raw_foot_wrench": flown["foot_wrench"]})
+    assert (true["unmodelled_wrench"] != replayed["unmodelled_wrench"]).any()
+
+
 def test_noise_of_force_and_moment_have_their_sizes():
     """Of 80 ticks and two feet: a standard deviation is known to 1/√(2 · 480)."""
     noise = {"force_noise_std": 5.0, "moment_noise_std": 0.5}

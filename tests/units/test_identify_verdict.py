@@ -144,7 +144,7 @@ def test_a_log_without_an_anemometer_has_a_wind_to_find(flown):
 def left_out(flown, change):
     config, log = flown
     robot = rust.Robot(config["robot"])
-    log = {name: rows.copy() for name, rows in log.items()} | {"foot_wrench": np.zeros((log["time"].size, 2, 6))}
+    log = {name: rows.copy() for name, rows in log.items()} | {"raw_foot_wrench": np.zeros((log["time"].size, 2, 6))}
     change(log)
     _, reasons = samples.sample(samples.check(log, "log", robot), config, robot)
     return reasons
@@ -162,7 +162,7 @@ def test_a_lost_row_of_a_standing_robot_has_no_forces_of_its_feet():
     robot = rust.Robot(rust.load_config("test1")["robot"])
     count = len(robot.joint_names)
     log = {
-        "time": 0.01 * np.arange(3), "raw_joint_position": np.zeros((3, count)), "foot_wrench": np.ones((3, 2, 6)),
+        "time": 0.01 * np.arange(3), "raw_joint_position": np.zeros((3, count)), "raw_foot_wrench": np.ones((3, 2, 6)),
         "raw_base_position": np.zeros((3, 3)), "raw_base_rotation": np.tile(np.eye(3), (3, 1, 1)),
     }  # fmt: skip
     log["raw_base_rotation"][1] = np.nan
@@ -184,7 +184,7 @@ def jump(log):
         (put("joint_torque", (500, 2), 1e9), "commands saturated"),
         (jump, "odometry jumps"),
         (put("raw_joint_position", (500, 0), 40.0), "joints beyond stops"),
-        (put("foot_wrench", 500, 50.0), "feet loaded"),
+        (put("raw_foot_wrench", 500, 50.0), "feet loaded"),
     ],
 )  # fmt: skip
 def test_samples_that_the_equations_do_not_cover_are_left_out_and_counted(flown, change, reason):

@@ -19,8 +19,8 @@ const PERIOD_TOLERANCE: f64 = 0.01;
 /// pause of the controller is in more of them.
 const LONGEST_SPAN: usize = 50;
 
-/// Replays the measurements of a log, its `time` and `raw_*` signals and, where there is one, `foot_wrench`, through
-/// the controller of a configuration. Returns what it computes: the signals of [`Read::Tick`](crate::signals::Read::Tick).
+/// Replays the measurements of a log, its `time` and `raw_*` signals, through the controller of a configuration.
+/// Returns what it computes: the signals of [`Read::Tick`](crate::signals::Read::Tick).
 ///
 /// A row is a tick; with `controller.torque.steps` > 1 a row is a tick of the torques, of which the first and every
 /// `steps`-th is one of the law too, with a row in the result. A signal that is absent is not measured; foot wrenches
@@ -66,7 +66,7 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
             joint_position: DVector::from_vec(position),
             velocity: DVector::from_vec([read("raw_base_velocity", 6), velocity].concat()),
         };
-        for (foot, wrench) in feet.iter().zip(numbers("foot_wrench").chunks_exact(6)) {
+        for (foot, wrench) in feet.iter().zip(numbers("raw_foot_wrench").chunks_exact(6)) {
             if let Some(foot) = foot {
                 measurement.foot_wrenches.as_mut_slice()[6 * foot..6 * foot + 6].copy_from_slice(wrench);
             }

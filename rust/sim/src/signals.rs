@@ -350,6 +350,14 @@ pub static SIGNALS: &[Signal] = &[
         "height of the base origin in that measurement, above that on the ground",
         |row, out| out.push(row.measurement.height),
     ),
+    tick(
+        "raw_foot_wrench",
+        FOOT_SIX,
+        WRENCH,
+        "wrench on each sole about its origin in that measurement, inertial axes; zero for a foot that the controller does not use",
+        |row, out| row.every_foot(&row.measurement.foot_wrenches, out),
+    )
+    .of_ground(),
     tick("qp_status", QP, "1", "outcome of each QP", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));
     })
