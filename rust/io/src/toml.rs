@@ -420,7 +420,9 @@ impl Reader<'_> {
         if let Some(place) = tried.iter().position(|path| exists(path)) {
             return Ok(tried.swap_remove(place));
         }
-        let places: Vec<_> = tried.iter().map(|path| format!("no {}", path.display())).collect();
+        let where_from = |path: &Path| if path.is_relative() { " in the current folder" } else { "" };
+        let place = |path: &PathBuf| format!("no {}{}", path.display(), where_from(path));
+        let places: Vec<_> = tried.iter().map(place).collect();
         let expected = format!("the path of a file that exists; there is {}", places.join(", and "));
         Err(refusal(key, &file.into(), &expected))
     }

@@ -90,13 +90,14 @@ fn files_beside_the_shipped_ones() {
     hold_text("own/base.toml", "model = 'network'\nair_density = 1.2\ncard = 'card.json'\n");
     hold_text("own/card.json", "{}");
     assert_eq!(card_of("base = 'base'"), Path::new("own/card.json"));
-    let expected =
-        "expected the path of a file that exists; there is no own/esab.toml, and no shipped/aero/esab.toml";
+    let expected = "expected the path of a file that exists; there is no own/esab.toml in the current folder, and no \
+                    shipped/aero/esab.toml in the current folder";
     assert_says(&load("base = 'esab'", &[]).unwrap_err(), &[&format!("`base` is \"esab.toml\"; {expected}")]);
     let changes = [("card".to_owned(), json!("absent.json"))];
     assert_says(
         &load("base = 'base'", &changes).unwrap_err(),
-        &["`card` is \"absent.json\"; expected the path of a file that exists; there is no absent.json"],
+        &["`card` is \"absent.json\"; expected the path of a file that exists; there is no absent.json in \
+          the current folder"],
     );
 }
 
