@@ -252,9 +252,7 @@ FLOWN = 3
 """Flights of a cell whose share is compared."""
 TO_FLY = {
     "convergence_robot",
-    "fault_pairs",
     "robot_gap_loss",
-    "robot_take_off",
     "wind_humanoid_1",
 }
 """Stored sweeps of an earlier configuration, or whose flights have other bits by now, to be flown anew."""
