@@ -252,7 +252,6 @@ FLOWN = 3
 """Flights of a cell whose share is compared."""
 TO_FLY = {
     "convergence_robot",
-    "wind_humanoid_1",
 }
 """Stored sweeps of an earlier configuration, or whose flights have other bits by now, to be flown anew."""
 
