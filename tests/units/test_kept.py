@@ -250,9 +250,7 @@ SWEPT = [name for name in kept.names() if any(kept.read(name).firsts)]
 ELSEWHERE = [name for name in kept.names() if kept.read(name).firsts and not any(kept.read(name).firsts)]
 FLOWN = 3
 """Flights of a cell whose share is compared."""
-TO_FLY = {
-    "convergence_robot",
-}
+TO_FLY: set[str] = set()
 """Stored sweeps of an earlier configuration, or whose flights have other bits by now, to be flown anew."""
 
 
