@@ -79,8 +79,12 @@ def of_controller(log: Log, config: rust.Config, path: Path, *, also: Sequence[s
     Raises
     ------
     Refused
-        As `at_ticks`, and for joints whose angles are none in radians.
+        As `at_ticks`, for joints whose angles are none in radians, and for wrenches of the feet that are only named as
+        those of a simulated world.
     """
+    if "foot_wrench" in log.signals and "raw_foot_wrench" not in log.signals:
+        what = f"`{path}` has `foot_wrench`, the wrenches of a simulated world"
+        raise Refused(f"{what}, but not what was measured; expected `raw_foot_wrench`, which a map can name")
     controller, robot = config["controller"], rust.Robot(config["robot"])
     period = float(controller["time_step"]) / int(rust.resolve_config(config)["controller"]["torque"]["steps"])
     ticks = at_ticks(on_its_feet(log, config), robot, period, path, also=also)

@@ -350,6 +350,17 @@ def test_a_rotation_of_all_digits_keeps_its_bits(table, signals, config, tmp_pat
     np.testing.assert_array_equal(found["raw_base_rotation"], turns)
 
 
+def test_wrenches_of_a_simulated_world_are_not_taken_for_measured_ones(table, signals, config, tmp_path):
+    """A map that named them for a replay names `raw_foot_wrench` today."""
+    path = tmp_path / "log.csv"
+    table.assign(t=SECONDS).to_csv(path, index=False)
+    read = logs.read(path, config, mapping(tmp_path, signals))
+    assert measured.of_controller(read, config, path).is_recorded.all()
+    wrong = read._replace(signals={**read.signals, "foot_wrench": read.signals["raw_wind"]})
+    with pytest.raises(Refused, match=r"has `foot_wrench`, .*; expected `raw_foot_wrench`"):
+        measured.of_controller(wrong, config, path)
+
+
 @pytest.mark.parametrize("factor", [0.0, 2.0, 1.02, -1.0])
 @pytest.mark.parametrize("command", ["replay", "identify", "export"])
 def test_what_is_no_rotation_is_refused_with_its_row(command, factor, table, signals, config, tmp_path, capsys):
