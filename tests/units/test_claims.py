@@ -420,7 +420,7 @@ ENDING = {"announced_losses", "announced_losses_pairs", "engines_lost", "mission
 ENDING |= {f"descent_{way}" for way in ("accelerating", "braking", "chest", "cruise", "leaning")}
 ENDING |= {"false_alarms_robot", "false_alarms_sensors"}
 ENDING |= {"ground_1", "ground_2", "ground_5", "height_errors", "landing_loss_arm", "robot_take_off_weak"}
-ENDING |= {"learnt_engines", "settings_most_friction", "settings_recommended"}
+ENDING |= {"learnt_engines", "learnt_engines_kick", "settings_most_friction", "settings_recommended"}
 ENDING |= {
     "gap_sensor",
     "mk3_settings_weak",
