@@ -20,10 +20,13 @@ def draw(*studies: xr.Dataset) -> Figure:
         speed = np.linalg.norm(study["wind"], axis=1)
         final.plot(speed, study["final_reward"].T, ".", markersize=3, color=colour)
         seeds = study.sizes["seed"]
-        course.lines[-1].set_label(f"{label}, {seeds} seed{'s' * (seeds > 1)}")
+        last = float(study["minutes"].isel(judgement=-1).median())
+        course.lines[-1].set_label(f"{label}, {seeds} seed{'s' * (seeds > 1)} of {last:.2g} min")
     course.set_xlabel("processor time [min]")
-    course.set_xlim(left=0.0)
-    if len(studies) > 1:
+    if len(studies) == 1:
+        course.set_xlim(left=0.0)
+    else:
+        course.set_xscale("log")  # PPO takes many times as long
         style.legend_above(course, columns=len(studies))
     final.set_xlabel("wind [m/s], after training")
     for axes in (course, final):
