@@ -56,7 +56,7 @@ def files() -> dict[Path, str]:
     folder = places.CONFIGS / "schema"
     return {
         **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(schemas.items())},
-        **{path: _json({"$schema": DIALECT, **tables.schema(kind)}) for path, kind in _of_studies()},
+        **{path: _json({"$schema": DIALECT, **allow_parts(tables.schema(kind))}) for path, kind in _of_studies()},
     }
 
 
